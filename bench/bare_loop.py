@@ -11,7 +11,6 @@ import sys
 import threading
 import time
 
-from tactile_hand_ros.ros.processes import CapturedProcess
 from tactile_hand_ros.ros.scheduling import Scheduling
 
 _PATIENCE = 60.0  # s, on top of the time that is measured
@@ -25,6 +24,8 @@ def missed_by_bare_loop(rate: float, seconds: float, priority: int = 0) -> float
         seconds: How long [s].
         priority: Under SCHED_FIFO; 0 for ordinary scheduling.
     """
+    from bench.processes import CapturedProcess  # which the process below does not find
+
     words = [str(rate), str(seconds), str(priority)]
     with CapturedProcess([sys.executable, __file__, *words]) as process:
         process.wait(_PATIENCE + seconds)

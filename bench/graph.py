@@ -12,13 +12,13 @@ from pathlib import Path
 from typing import Any
 
 from bench.bare_loop import missed_by_bare_loop
+from bench.processes import CapturedProcess, isolated_domain
 from bench.result import Measurement
 from bench.wire import rate
 from bench.workload import Workload
 from bench.written import written_calls
 from tactile_hand_ros.errors import TactileHandError
-from tactile_hand_ros.ros.middleware import isolated_domain
-from tactile_hand_ros.ros.processes import CapturedProcess, executable_path
+from tactile_hand_ros.ros.processes import executable_path
 from tactile_hand_ros.scenario.scenario import NODES
 
 PRIORITY = 50

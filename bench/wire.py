@@ -10,6 +10,7 @@ commas.
 
 from __future__ import annotations
 
+import os
 import struct
 import sys
 import tempfile
@@ -26,12 +27,13 @@ from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 
+from bench.processes import CapturedProcess, isolated_domain, start_executable
 from tactile_hand_ros import names
 from tactile_hand_ros.names import PLANT
 from tactile_hand_ros.ros import qos
 from tactile_hand_ros.ros.executor import spin
-from tactile_hand_ros.ros.middleware import isolated_domain, use_sockets
-from tactile_hand_ros.ros.processes import CapturedProcess, start_executable, wait_until
+from tactile_hand_ros.ros.middleware import use_sockets
+from tactile_hand_ros.ros.processes import wait_until
 
 _NAMESPACE = "wire"
 _BYTES = 200  # of a message, as many as those of a run have in the middle
@@ -54,10 +56,10 @@ def rate(processes: Sequence[str], ticks: int, *, recorded: bool) -> float:
             flags = ("-p", f"output:={folder}/bag", "-p", f"topics:=['/{_NAMESPACE}/.*']")
             stack.enter_context(start_executable("recorder", "--ros-args", *flags))
             wait_until(lambda: list(Path(folder).glob("bag/*.mcap")), _PATIENCE, "the recorder")
-        command = [sys.executable, __file__]
+        path = {"PYTHONPATH": os.pathsep.join(sys.path)}  # of `bench`
         members = [
-            stack.enter_context(CapturedProcess([*command, roles, str(int(recorded)), str(ticks)]))
-            for roles in processes
+            stack.enter_context(CapturedProcess([sys.executable, __file__, *words], env=path))
+            for words in ((roles, str(int(recorded)), str(ticks)) for roles in processes)
         ]
         plant = next(m for m, roles in zip(members, processes, strict=True) if PLANT in roles)
         plant.wait_for_output("ticks/s", _PATIENCE)

@@ -66,7 +66,7 @@ def _no_shared_memory() -> Iterator[None]:
 @pytest.fixture
 def domain() -> Iterator[int]:
     """Reserve a ROS domain."""
-    from tactile_hand_ros.ros.middleware import isolated_domain
+    from bench.processes import isolated_domain
 
     with isolated_domain() as number:
         yield number

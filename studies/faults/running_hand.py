@@ -20,6 +20,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool, Float64
 from std_srvs.srv import SetBool, Trigger
 
+from bench.processes import CapturedProcess, isolated_domain, private_context, start_executable
 from tactile_hand_ros import names
 from tactile_hand_ros.config.hand_config import load_hand_config
 from tactile_hand_ros.nodes.recorder.config import RecorderConfig
@@ -27,10 +28,8 @@ from tactile_hand_ros.ros import qos
 from tactile_hand_ros.ros.diagnostics import ERROR
 from tactile_hand_ros.ros.executor import WaitSetExecutor
 from tactile_hand_ros.ros.messages import ContactsCodec, PoseCodec, WrenchCodec, stamp_to_ns
-from tactile_hand_ros.ros.middleware import isolated_domain, private_context
 from tactile_hand_ros.ros.node import SUBSCRIPTIONS
 from tactile_hand_ros.ros.parameters import to_params_yaml
-from tactile_hand_ros.ros.processes import CapturedProcess, start_executable
 from tactile_hand_ros.scenario.scenario import NODES, Scenario
 
 Array = NDArray[np.float64]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How the middleware is set up, and domains and contexts apart from all others on this machine.
+"""How the middleware is set up, and contexts of rclpy.
 
 Messages go through sockets alone. Fast DDS would also use shared memory, where a process that is
 killed while it sets up its part leaves it half made; the next process that opens it waits for ever,
@@ -10,12 +10,10 @@ from __future__ import annotations
 
 import contextlib
 import os
-import random
 import re
-import socket
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from ament_index_python.packages import get_resources
 
@@ -30,9 +28,6 @@ _PROFILES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
 _RANGE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
 _ALONE = "ROS_LOCALHOST_ONLY"
 _HIGHEST_DOMAIN = 232  # with a higher one, the ports of DDS would not be ports
-_PORT_BASE = 32768
-_DOMAINS = range(60, 102)
-"""Lower domains are left to people, higher ones meet ephemeral ports."""
 _MIDDLEWARE, _FAST_DDS = "RMW_IMPLEMENTATION", "rmw_fastrtps"
 
 
@@ -97,56 +92,6 @@ def check_environment(environment: Mapping[str, str]) -> None:
             f"RMW_IMPLEMENTATION is '{middleware}', which is not installed here; expected "
             f"{' or '.join(installed)}, or nothing"
         )
-
-
-@contextlib.contextmanager
-def isolated_domain() -> Iterator[int]:
-    """Reserve a ROS domain on this machine and set the environment for it.
-
-    Reserving means binding TCP port 32768 + id, the convention of domain_coordinator. Processes
-    that are started inside inherit the domain, and discovery stays on this machine.
-
-    Yields:
-        The domain id.
-    """
-    with _reserve() as domain:
-        values = {"ROS_DOMAIN_ID": str(domain), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
-        with _environment({**values, **socket_settings({**os.environ, **values})}):
-            yield domain
-
-
-@contextlib.contextmanager
-def _reserve() -> Iterator[int]:
-    for domain in random.sample(_DOMAINS, len(_DOMAINS)):
-        with socket.socket(socket.AF_INET, socket.SOCK_STREAM) as guard:
-            try:
-                guard.bind(("localhost", _PORT_BASE + domain))
-            except OSError:
-                continue
-            yield domain
-            return
-    raise RuntimeError(f"all ROS domains from {_DOMAINS[0]} to {_DOMAINS[-1]} are in use")
-
-
-@contextlib.contextmanager
-def _environment(values: Mapping[str, str]) -> Iterator[None]:
-    before = {name: os.environ.get(name) for name in values}
-    os.environ.update(values)
-    try:
-        yield
-    finally:
-        for name, value in before.items():
-            if value is None:
-                os.environ.pop(name, None)
-            else:
-                os.environ[name] = value
-
-
-def private_context(
-    domain: int, arguments: Sequence[str] = ()
-) -> contextlib.AbstractContextManager[Any]:
-    """Provide an rclpy context in a domain, shut down at the end; see `ros_context`."""
-    return ros_context(arguments, domain)
 
 
 def full_namespace(given: str, ros_arguments: Sequence[str] = ()) -> str:

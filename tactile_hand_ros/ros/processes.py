@@ -7,7 +7,6 @@ import os
 import signal
 import subprocess
 import sys
-import tempfile
 import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -172,87 +171,3 @@ def end_together(processes: Sequence[ChildProcess]) -> None:
             process.send_to_group(number)
         with suppress(TimeoutError):
             wait_until(have_ended, patience)
-
-
-class CapturedProcess(ChildProcess):
-    """A process whose output is kept; its group ends with the block."""
-
-    def __init__(
-        self,
-        command: Sequence[str | os.PathLike[str]],
-        *,
-        env: Mapping[str, str] | None = None,
-    ) -> None:
-        """Start it; see `ChildProcess`."""
-        self._files = [tempfile.TemporaryFile("w+b") for _ in range(2)]
-        # With a fault handler, SIGABRT prints where a process hangs.
-        env = {"PYTHONFAULTHANDLER": "1", **(env or {})}
-        super().__init__(command, *self._files, env=env)
-
-    @property
-    def stdout(self) -> str:
-        """What was written to the standard output so far."""
-        return self._read(0)
-
-    @property
-    def stderr(self) -> str:
-        """What was written to the standard error so far."""
-        return self._read(1)
-
-    def _read(self, index: int) -> str:
-        descriptor = self._files[index].fileno()
-        # The child writes at the same offset: read without moving it.
-        return os.pread(descriptor, os.fstat(descriptor).st_size, 0).decode(errors="replace")
-
-    def wait(self, timeout: float = 20.0) -> int:
-        """Wait for the end and return the exit code.
-
-        Raises:
-            TimeoutError: With all output so far and where each of its threads stood.
-        """
-        try:
-            wait_until(lambda: self.returncode is not None, timeout)
-        except TimeoutError:
-            self.send(signal.SIGABRT)
-            with suppress(TimeoutError):
-                wait_until(lambda: self.returncode is not None, _STOP_SECONDS)
-            raise TimeoutError(f"still running after {timeout:g} s{self._report()}") from None
-        return int(self._process.returncode)
-
-    def wait_for_output(self, text: str, timeout: float = 20.0) -> None:
-        """Wait until a text appears in the output or on stderr.
-
-        Raises:
-            TimeoutError: With all output so far.
-        """
-        try:
-            wait_until(lambda: text in self.stdout + self.stderr, timeout, f"'{text}'")
-        except TimeoutError as error:
-            raise TimeoutError(f"{error}{self._report()}") from None
-
-    def _report(self) -> str:
-        return f": {' '.join(self.command)}\n{self.stdout}\n{self.stderr}"
-
-    def __enter__(self) -> CapturedProcess:
-        """Return the process."""
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        """End the group and drop the output."""
-        end_together([self])
-        self._process.wait()
-        for file in self._files:
-            file.close()
-
-
-def start_executable(
-    name: str, *args: str, env: Mapping[str, str] | None = None
-) -> CapturedProcess:
-    """Start an executable of this package as ``ros2 run`` does.
-
-    Args:
-        name: Such as ``plant``.
-        *args: Its arguments.
-        env: Variables to set or change.
-    """
-    return CapturedProcess([executable_path(name), *args], env=env)

@@ -18,14 +18,13 @@ from support.graph import TICK_TOPICS, Graph
 from support.messages import encoded
 from visualization_msgs.msg import MarkerArray
 
+from bench.processes import isolated_domain, start_executable
 from tactile_hand_ros import names
 from tactile_hand_ros.bag.reader import read_messages
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
 from tactile_hand_ros.closed_loop.record import Record
 from tactile_hand_ros.control.slip.detector import ContactState
 from tactile_hand_ros.ros import qos
-from tactile_hand_ros.ros.middleware import isolated_domain
-from tactile_hand_ros.ros.processes import start_executable
 from tactile_hand_ros.run.run import Run
 from tactile_hand_ros.scenario.scenario import Scenario, load_scenario, resolved
 from tactile_hand_ros.verify.recompute import recompute

@@ -11,10 +11,10 @@ from diagnostic_msgs.msg import DiagnosticArray
 from std_msgs.msg import Bool
 from support.graph import Graph
 
+from bench.processes import isolated_domain
 from tactile_hand_ros import names
 from tactile_hand_ros.ros import qos
 from tactile_hand_ros.ros.diagnostics import ERROR
-from tactile_hand_ros.ros.middleware import isolated_domain
 from tactile_hand_ros.scenario.scenario import load_scenario
 
 SCENARIO = load_scenario(

@@ -17,9 +17,9 @@ from std_msgs.msg import Float64
 from support.graph import Graph
 from support.messages import force_message, pose_message
 
+from bench.processes import isolated_domain
 from tactile_hand_ros import names
 from tactile_hand_ros.ros import qos
-from tactile_hand_ros.ros.middleware import isolated_domain
 from tactile_hand_ros.ros.node import SUBSCRIPTIONS
 from tactile_hand_ros.scenario.scenario import NODES, load_scenario
 

@@ -14,9 +14,9 @@ from rclpy.publisher import Publisher
 from sensor_msgs.msg import JointState
 from support.graph import Graph
 
+from bench.processes import isolated_domain
 from tactile_hand_ros import names
 from tactile_hand_ros.ros.diagnostics import ERROR
-from tactile_hand_ros.ros.middleware import isolated_domain
 from tactile_hand_ros.scenario.scenario import load_scenario
 
 P_D = np.array(load_scenario("paper").targets[0].position)

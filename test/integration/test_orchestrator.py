@@ -21,16 +21,11 @@ import pytest
 from rosbags.rosbag2 import Reader
 from support.graph import TICK_TOPICS
 
+from bench.processes import CapturedProcess, start_executable
 from tactile_hand_ros.bag.reader import summarize
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
 from tactile_hand_ros.orchestrator.session import START_ORDER
-from tactile_hand_ros.ros.processes import (
-    PACKAGE,
-    CapturedProcess,
-    executable_path,
-    start_executable,
-    wait_until,
-)
+from tactile_hand_ros.ros.processes import PACKAGE, executable_path, wait_until
 from tactile_hand_ros.run.run import Run
 from tactile_hand_ros.scenario.scenario import load_scenario
 from tactile_hand_ros.verify.recompute import recompute

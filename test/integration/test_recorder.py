@@ -22,14 +22,10 @@ from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64
 
+from bench.processes import CapturedProcess, private_context, start_executable
 from tactile_hand_ros.bag.reader import read_messages, summarize
 from tactile_hand_ros.bag.recover import recover
-from tactile_hand_ros.ros.middleware import private_context
-from tactile_hand_ros.ros.processes import (
-    CapturedProcess,
-    start_executable,
-    wait_until,
-)
+from tactile_hand_ros.ros.processes import wait_until
 
 DEEP = QoSProfile(depth=1000)
 COUNT = 800  # messages on each topic

@@ -15,14 +15,9 @@ import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from support.spinning import spinning
 
+from bench.processes import CapturedProcess, isolated_domain, private_context, start_executable
 from tactile_hand_ros import names
-from tactile_hand_ros.ros.middleware import isolated_domain, private_context
-from tactile_hand_ros.ros.processes import (
-    CapturedProcess,
-    executable_path,
-    start_executable,
-    wait_until,
-)
+from tactile_hand_ros.ros.processes import executable_path, wait_until
 
 PRIORITY = 7
 NODE = "force_optimizer"

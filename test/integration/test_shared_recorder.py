@@ -14,8 +14,9 @@ from rclpy.serialization import deserialize_message, serialize_message
 from std_msgs.msg import Float64
 from support.graph import PATIENCE, Graph
 
+from bench.processes import CapturedProcess
 from tactile_hand_ros.bag.reader import read_messages, summarize
-from tactile_hand_ros.ros.processes import CapturedProcess, wait_until
+from tactile_hand_ros.ros.processes import wait_until
 from tactile_hand_ros.scenario.scenario import NODES, load_scenario
 
 SHARED = {"/diagnostics", "/rosout", "/parameter_events", "/joint_hold"}

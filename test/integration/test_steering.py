@@ -13,10 +13,10 @@ from geometry_msgs.msg import PoseStamped
 from rclpy.node import Node
 from support.messages import pose_message
 
+from bench.processes import CapturedProcess, private_context, start_executable
 from tactile_hand_ros.bag.reader import read_messages, summarize
 from tactile_hand_ros.cli.app import main
-from tactile_hand_ros.ros.middleware import private_context
-from tactile_hand_ros.ros.processes import CapturedProcess, start_executable, wait_until
+from tactile_hand_ros.ros.processes import wait_until
 from tactile_hand_ros.run.run import Run
 from tactile_hand_ros.verify.recompute import recompute
 

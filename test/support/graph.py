@@ -22,21 +22,16 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64
 from std_srvs.srv import SetBool, Trigger
 
+from bench.processes import CapturedProcess, private_context, start_executable
 from support.messages import pose_message
 from support.spinning import spinning
 from tactile_hand_ros import names
 from tactile_hand_ros.config.hand_config import load_hand_config
 from tactile_hand_ros.ros import qos
 from tactile_hand_ros.ros.messages import Array, stamp_to_ns
-from tactile_hand_ros.ros.middleware import private_context
 from tactile_hand_ros.ros.node import PUBLICATIONS, SUBSCRIPTIONS
 from tactile_hand_ros.ros.parameters import to_params_yaml
-from tactile_hand_ros.ros.processes import (
-    CapturedProcess,
-    end_together,
-    start_executable,
-    wait_until,
-)
+from tactile_hand_ros.ros.processes import end_together, wait_until
 from tactile_hand_ros.scenario.scenario import NODES, Scenario
 
 PATIENCE = 120.0

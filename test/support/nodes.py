@@ -11,10 +11,10 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.serialization import deserialize_message
 
+from bench.processes import isolated_domain, private_context
 from tactile_hand_ros.ros import qos
 from tactile_hand_ros.ros.endpoints import subscribe_directly, taken
 from tactile_hand_ros.ros.executor import WaitSetExecutor
-from tactile_hand_ros.ros.middleware import isolated_domain, private_context
 from tactile_hand_ros.ros.processes import wait_until
 
 

@@ -14,11 +14,11 @@ import pytest
 from ament_index_python.packages import get_package_prefix
 from support.recorded import random_record, write_record
 
+from bench.processes import CapturedProcess, isolated_domain
 from tactile_hand_ros.cli import main
 from tactile_hand_ros.command_line import run_command
 from tactile_hand_ros.config.paths import scenario_names
-from tactile_hand_ros.ros.middleware import isolated_domain
-from tactile_hand_ros.ros.processes import CapturedProcess, executable_path, wait_until
+from tactile_hand_ros.ros.processes import executable_path, wait_until
 from tactile_hand_ros.scenario.scenario import load_scenario, resolved
 
 COMMAND = [sys.executable, "-m", "tactile_hand_ros.cli"]

@@ -11,7 +11,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
-from tactile_hand_ros.ros.middleware import isolated_domain
+from bench.processes import isolated_domain
 from tactile_hand_ros.ros.processes import executable_path
 
 FIGURES = {"matplotlib", "rosbags", "tactile_hand_ros.run", "tactile_hand_ros.report"}

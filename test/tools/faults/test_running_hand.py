@@ -12,8 +12,8 @@ from rclpy.node import Node
 from std_srvs.srv import Trigger
 from support.spinning import spinning
 
+from bench.processes import isolated_domain, private_context
 from studies.faults import running_hand as module
-from tactile_hand_ros.ros.middleware import isolated_domain, private_context
 from tactile_hand_ros.ros.processes import wait_until
 from tactile_hand_ros.scenario.scenario import load_scenario
 

@@ -19,6 +19,7 @@ from rclpy.serialization import serialize_message
 from std_msgs.msg import Int64
 from std_srvs.srv import SetBool
 
+from bench.processes import isolated_domain, private_context
 from tactile_hand_ros.bag.metadata import offered_qos
 from tactile_hand_ros.bag.reader import open_bag
 from tactile_hand_ros.bag.schema import MessageDefinition
@@ -27,7 +28,6 @@ from tactile_hand_ros.cli.app import main
 from tactile_hand_ros.errors import BagError
 from tactile_hand_ros.nodes import replay as replay_module
 from tactile_hand_ros.nodes.replay import Replay, replaying
-from tactile_hand_ros.ros.middleware import isolated_domain, private_context
 
 TYPE, BEGIN, STEP = "std_msgs/msg/Int64", 10**18, 10_000_000
 LATCHED = offered_qos(QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL))

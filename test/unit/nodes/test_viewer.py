@@ -23,12 +23,12 @@ from std_msgs.msg import String
 from support.messages import contacts_message, force_message, joint_message, pose_message
 from visualization_msgs.msg import Marker, MarkerArray
 
+from bench.processes import isolated_domain, private_context
 from tactile_hand_ros import names
 from tactile_hand_ros.config.paths import config_directory
 from tactile_hand_ros.nodes import viewer
 from tactile_hand_ros.nodes.viewer import Frame, ViewerNode, contact_markers
 from tactile_hand_ros.ros.endpoints import message_class, subscribe_directly, take_latest
-from tactile_hand_ros.ros.middleware import isolated_domain, private_context
 from tactile_hand_ros.ros.processes import wait_until
 
 ROOT = Path(__file__).resolve().parents[3]

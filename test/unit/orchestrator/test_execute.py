@@ -12,6 +12,7 @@ from typing import Any
 
 import pytest
 
+from bench.processes import isolated_domain
 from tactile_hand_ros.command_line import Interrupted, Signals
 from tactile_hand_ros.errors import ConfigurationError, TactileHandError
 from tactile_hand_ros.names import PLANT, RECORDER
@@ -24,12 +25,7 @@ from tactile_hand_ros.orchestrator.execute import (
 )
 from tactile_hand_ros.orchestrator.options import RunOptions
 from tactile_hand_ros.orchestrator.session import STOP_ORDER, Plan
-from tactile_hand_ros.ros.middleware import (
-    full_namespace,
-    graph_node,
-    isolated_domain,
-    ros_context,
-)
+from tactile_hand_ros.ros.middleware import full_namespace, graph_node, ros_context
 from tactile_hand_ros.scenario.scenario import load_scenario
 
 SCENARIO = load_scenario("paper", {"duration": 0.1})

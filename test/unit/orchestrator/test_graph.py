@@ -10,9 +10,9 @@ from rclpy.context import Context
 from rclpy.node import Node
 from std_msgs.msg import Empty
 
+from bench.processes import isolated_domain, private_context
 from tactile_hand_ros import names
 from tactile_hand_ros.orchestrator.graph import DuplicateNodeError, missing_endpoints
-from tactile_hand_ros.ros.middleware import isolated_domain, private_context
 from tactile_hand_ros.ros.processes import wait_until
 
 PLANT, SENSOR, RECORDER, USER = names.PLANT, names.SENSOR, names.RECORDER, names.ORCHESTRATOR

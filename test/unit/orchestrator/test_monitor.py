@@ -14,10 +14,10 @@ from rclpy.qos import QoSProfile
 from rich.console import Console
 from sensor_msgs.msg import JointState
 
+from bench.processes import isolated_domain, private_context
 from tactile_hand_ros.orchestrator.monitor import Monitor, View, line_console
 from tactile_hand_ros.ros.diagnostics import ERROR, OK, STALE, WARN
 from tactile_hand_ros.ros.messages import stamp_from_ns
-from tactile_hand_ros.ros.middleware import isolated_domain, private_context
 from tactile_hand_ros.ros.processes import wait_until
 
 SECOND = 10**9

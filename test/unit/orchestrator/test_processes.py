@@ -12,6 +12,7 @@ from pathlib import Path
 import psutil
 import pytest
 
+from bench.processes import CapturedProcess
 from tactile_hand_ros.orchestrator import processes as launcher
 from tactile_hand_ros.orchestrator.processes import (
     NodeDiedError,
@@ -19,7 +20,7 @@ from tactile_hand_ros.orchestrator.processes import (
     Processes,
 )
 from tactile_hand_ros.ros import processes as ros_processes
-from tactile_hand_ros.ros.processes import CapturedProcess, executable_directory, wait_until
+from tactile_hand_ros.ros.processes import executable_directory, wait_until
 
 STUBBORN = "trap '' INT TERM; echo ready; while :; do read line < /dev/zero; done"
 POLITE = "trap 'exit 0' INT; echo ready; while :; do tail -f /dev/null & wait; done"

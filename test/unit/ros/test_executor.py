@@ -19,10 +19,10 @@ from rclpy.serialization import serialize_message
 from std_msgs.msg import Float64, Int8
 from std_srvs.srv import Trigger
 
+from bench.processes import CapturedProcess, isolated_domain, private_context
 from tactile_hand_ros.ros.endpoints import subscribe_directly
 from tactile_hand_ros.ros.executor import WaitSetExecutor, spin
-from tactile_hand_ros.ros.middleware import isolated_domain, private_context
-from tactile_hand_ros.ros.processes import CapturedProcess, wait_until
+from tactile_hand_ros.ros.processes import wait_until
 from tactile_hand_ros.ros.qos import user_qos
 
 GARBAGE = serialize_message(Int8(data=1))

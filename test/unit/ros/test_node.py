@@ -20,6 +20,7 @@ from std_msgs.msg import Float64
 from std_srvs.srv import SetBool, Trigger
 from support.nodes import Process, counts, facts
 
+from bench.processes import isolated_domain, private_context
 from tactile_hand_ros import names
 from tactile_hand_ros.config.model import Config, param
 from tactile_hand_ros.errors import MessageError, TactileHandError, UnsafeOutputError
@@ -27,7 +28,6 @@ from tactile_hand_ros.ros import qos
 from tactile_hand_ros.ros.diagnostics import ERROR, OK, WARN
 from tactile_hand_ros.ros.endpoints import described, location, refusal, subscribe_directly
 from tactile_hand_ros.ros.messages import checked_number
-from tactile_hand_ros.ros.middleware import isolated_domain, private_context
 from tactile_hand_ros.ros.node import TactileNode
 
 HERE = Path(__file__).name

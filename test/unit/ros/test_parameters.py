@@ -14,9 +14,9 @@ import rclpy
 import yaml
 from rclpy.parameter import Parameter
 
+from bench.processes import isolated_domain, private_context
 from tactile_hand_ros.config.model import Config, leaves, param
 from tactile_hand_ros.errors import ConfigurationError
-from tactile_hand_ros.ros.middleware import isolated_domain, private_context
 from tactile_hand_ros.ros.parameters import (
     ConfigParameters,
     descriptor,

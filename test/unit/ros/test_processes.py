@@ -13,9 +13,8 @@ import pytest
 import rclpy
 from std_msgs.msg import Float64
 
-from tactile_hand_ros.ros.middleware import isolated_domain, private_context
+from bench.processes import CapturedProcess, isolated_domain, private_context
 from tactile_hand_ros.ros.processes import (
-    CapturedProcess,
     ExecutableError,
     end_together,
     executable_path,

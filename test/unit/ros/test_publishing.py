@@ -12,8 +12,8 @@ from rclpy.serialization import serialize_message
 from std_msgs.msg import Float64
 from support.spinning import spinning
 
+from bench.processes import isolated_domain, private_context
 from tactile_hand_ros.ros import qos
-from tactile_hand_ros.ros.middleware import isolated_domain, private_context
 from tactile_hand_ros.ros.node import TickPublisher
 from tactile_hand_ros.ros.processes import wait_until
 

@@ -13,10 +13,10 @@ import pytest
 import rclpy
 from rclpy.node import Node
 
+from bench.processes import isolated_domain
 from tactile_hand_ros.errors import TactileHandError
 from tactile_hand_ros.nodes.force_optimizer import ForceOptimizerNode
 from tactile_hand_ros.ros import runner
-from tactile_hand_ros.ros.middleware import isolated_domain
 
 LOOSE = TactileHandError("the cable is loose, fix it.")
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)

@@ -174,9 +174,7 @@ def test_all_that_a_skin_adds_to_a_force_adds_up_in_order():
 @pytest.mark.parametrize(("pause", "unread"), [(5, 4), (100, 99), (101, 99), (700, 99)])
 def test_of_a_pause_a_second_of_samples_is_made_up_for(pause, unread, bandwidth):
     """Edges of the band above half the rate count as that; a low-pass takes each sample in turn."""
-    skin = sensor(
-        rate=100.0, seed=4, bandwidth=bandwidth, vibration={"gain": 10.0, "limit": 0.2}
-    )
+    skin = sensor(rate=100.0, seed=4, bandwidth=bandwidth, vibration={"gain": 10.0, "limit": 0.2})
     sliding, still = np.ones(3), truth()
     felt = skin.step(0, still, sliding).forces - still.forces
     found = skin.step(pause * 10_000_000, still, sliding).forces - still.forces

@@ -23,13 +23,13 @@ from rosbags.rosbag2 import Reader
 from std_msgs.msg import Int64
 
 import tactile_hand_ros
+from bench.processes import isolated_domain, private_context
 from tactile_hand_ros.bag.reader import read_messages, summarize
 from tactile_hand_ros.errors import BagError
 from tactile_hand_ros.nodes.recorder import node as recorder_module
 from tactile_hand_ros.nodes.recorder import writer_process
 from tactile_hand_ros.nodes.recorder.node import RecorderNode
 from tactile_hand_ros.ros.diagnostics import ERROR, WARN
-from tactile_hand_ros.ros.middleware import isolated_domain, private_context
 from tactile_hand_ros.ros.node import TickPublisher
 from tactile_hand_ros.ros.processes import wait_until
 

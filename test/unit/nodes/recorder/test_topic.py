@@ -18,12 +18,12 @@ from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPo
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 from std_msgs.msg import Float64, Int64
 
+from bench.processes import isolated_domain, private_context
 from tactile_hand_ros import names
 from tactile_hand_ros.errors import BagError
 from tactile_hand_ros.nodes.recorder import topic as topic_module
 from tactile_hand_ros.nodes.recorder.topic import RawTopic, SequenceTracker, adapted_qos
 from tactile_hand_ros.ros.endpoints import message_class
-from tactile_hand_ros.ros.middleware import isolated_domain, private_context
 from tactile_hand_ros.ros.processes import wait_until
 
 NAME, TYPE = "/number", "std_msgs/msg/Int64"

@@ -1,0 +1,162 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Processes and ROS domains apart from all others on this machine, for measurements and tests."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import random
+import signal
+import socket
+import tempfile
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
+from typing import Any
+
+from tactile_hand_ros.ros.middleware import ros_context, socket_settings
+from tactile_hand_ros.ros.processes import (
+    ChildProcess,
+    end_together,
+    executable_path,
+    wait_until,
+)
+
+_PORT_BASE = 32768
+_ABORT_SECONDS = 5.0
+_DOMAINS = range(60, 102)
+"""Lower domains are left to people, higher ones meet ephemeral ports."""
+
+
+@contextlib.contextmanager
+def isolated_domain() -> Iterator[int]:
+    """Reserve a ROS domain on this machine and set the environment for it.
+
+    Reserving means binding TCP port 32768 + id, the convention of domain_coordinator. Processes
+    that are started inside inherit the domain, and discovery stays on this machine.
+
+    Yields:
+        The domain id.
+    """
+    with _reserve() as domain:
+        values = {"ROS_DOMAIN_ID": str(domain), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
+        with _environment({**values, **socket_settings({**os.environ, **values})}):
+            yield domain
+
+
+@contextlib.contextmanager
+def _reserve() -> Iterator[int]:
+    for domain in random.sample(_DOMAINS, len(_DOMAINS)):
+        with socket.socket(socket.AF_INET, socket.SOCK_STREAM) as guard:
+            try:
+                guard.bind(("localhost", _PORT_BASE + domain))
+            except OSError:
+                continue
+            yield domain
+            return
+    raise RuntimeError(f"all ROS domains from {_DOMAINS[0]} to {_DOMAINS[-1]} are in use")
+
+
+@contextlib.contextmanager
+def _environment(values: Mapping[str, str]) -> Iterator[None]:
+    before = {name: os.environ.get(name) for name in values}
+    os.environ.update(values)
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                os.environ.pop(name, None)
+            else:
+                os.environ[name] = value
+
+
+def private_context(
+    domain: int, arguments: Sequence[str] = ()
+) -> contextlib.AbstractContextManager[Any]:
+    """Provide an rclpy context in a domain, shut down at the end; see `ros_context`."""
+    return ros_context(arguments, domain)
+
+
+class CapturedProcess(ChildProcess):
+    """A process whose output is kept; its group ends with the block."""
+
+    def __init__(
+        self,
+        command: Sequence[str | os.PathLike[str]],
+        *,
+        env: Mapping[str, str] | None = None,
+    ) -> None:
+        """Start it; see `ChildProcess`."""
+        self._files = [tempfile.TemporaryFile("w+b") for _ in range(2)]
+        # With a fault handler, SIGABRT prints where a process hangs.
+        env = {"PYTHONFAULTHANDLER": "1", **(env or {})}
+        super().__init__(command, *self._files, env=env)
+
+    @property
+    def stdout(self) -> str:
+        """What was written to the standard output so far."""
+        return self._read(0)
+
+    @property
+    def stderr(self) -> str:
+        """What was written to the standard error so far."""
+        return self._read(1)
+
+    def _read(self, index: int) -> str:
+        descriptor = self._files[index].fileno()
+        # The child writes at the same offset: read without moving it.
+        return os.pread(descriptor, os.fstat(descriptor).st_size, 0).decode(errors="replace")
+
+    def wait(self, timeout: float = 20.0) -> int:
+        """Wait for the end and return the exit code.
+
+        Raises:
+            TimeoutError: With all output so far and where each of its threads stood.
+        """
+        try:
+            wait_until(lambda: self.returncode is not None, timeout)
+        except TimeoutError:
+            self.send(signal.SIGABRT)
+            with suppress(TimeoutError):
+                wait_until(lambda: self.returncode is not None, _ABORT_SECONDS)
+            raise TimeoutError(f"still running after {timeout:g} s{self._report()}") from None
+        assert self.returncode is not None
+        return self.returncode
+
+    def wait_for_output(self, text: str, timeout: float = 20.0) -> None:
+        """Wait until a text appears in the output or on stderr.
+
+        Raises:
+            TimeoutError: With all output so far.
+        """
+        try:
+            wait_until(lambda: text in self.stdout + self.stderr, timeout, f"'{text}'")
+        except TimeoutError as error:
+            raise TimeoutError(f"{error}{self._report()}") from None
+
+    def _report(self) -> str:
+        return f": {' '.join(self.command)}\n{self.stdout}\n{self.stderr}"
+
+    def __enter__(self) -> CapturedProcess:
+        """Return the process."""
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """End the group and drop the output."""
+        end_together([self])
+        self._process.wait()
+        for file in self._files:
+            file.close()
+
+
+def start_executable(
+    name: str, *args: str, env: Mapping[str, str] | None = None
+) -> CapturedProcess:
+    """Start an executable of this package as ``ros2 run`` does.
+
+    Args:
+        name: Such as ``plant``.
+        *args: Its arguments.
+        env: Variables to set or change.
+    """
+    return CapturedProcess([executable_path(name), *args], env=env)
