@@ -3,8 +3,8 @@
 
 A fenced block whose first line is a comment with a path is a file of the example. In a block of
 kind ``console``, a line that starts with ``$ tactile-hand run`` is run in-process, which gives the
-same numbers as the processes; what follows it up to the next command is the result. With
-``--check`` nothing is written, and the exit code is 1 when a page differs from its results.
+same numbers as the processes. Below it stand those lines of its output that have a goal; an
+ellipsis stands for the others.
 """
 
 from __future__ import annotations
@@ -15,20 +15,21 @@ import re
 import shlex
 import sys
 import tempfile
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
 
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
 from tactile_hand_ros.closed_loop.record import Record
 from tactile_hand_ros.config.plain_yaml import parse_changes
+from tactile_hand_ros.report.result import Result
 from tactile_hand_ros.report.tables import milli
 from tactile_hand_ros.run.metrics import metrics
-from tactile_hand_ros.scenario.scenario import UNLIMITED_SLIP, Scenario, load_scenario, resolved
+from tactile_hand_ros.scenario.scenario import UNLIMITED_SLIP, Scenario, load_scenario
 
 DOCS = Path(__file__).resolve().parent
-PAGES = (DOCS.parent / "README.md", DOCS / "first-hour.md", DOCS / "scenarios.md")
+TUTORIAL = DOCS / "tutorials" / "getting-started.md"
+PAGES = (TUTORIAL, DOCS / "how-to" / "scenarios.md")
 FIGURES = DOCS / "figures"
 COMMAND = "$ tactile-hand run "
 
@@ -97,85 +98,50 @@ def _run(words: str, watch: Watch) -> list[str]:
     watch(words, scenario, record)
     found = metrics(record, scenario)
     rows = [
-        f"{each.name:<22}{_milli(each.value, each.unit):>14}   < {1e3 * each.limit:g} m{each.unit}"
-        f"   {'pass' if each.passed else 'fail'}"
+        f"│ {each.name:<20} │ {milli(each.value, each.unit):<14} "
+        f"│ < {f'{1e3 * each.limit:g} m{each.unit}':<7} │ {'pass' if each.passed else 'fail'} │"
         for each in found.judged(scenario.goal)
         if each.limit < UNLIMITED_SLIP
     ]
-    return [*rows, found.headline()]
-
-
-def _milli(value: float, unit: str) -> str:
-    """Return two digits: more may differ from one processor to the next."""
-    return milli(float(f"{value:.2g}"), unit)
+    return ["…", *rows, "…", f"{found.headline()}; results: runs/…-{scenario.name}"]
 
 
 def draw(words: str, scenario: Scenario, record: Record) -> None:
     """Draw hand and object of a run at the start and at the end."""
     from tactile_hand_ros.report.scene import grasp_figure
 
-    stem = re.sub(r"\W+", "_", Path(shlex.split(words)[0]).stem)
-    file = FIGURES / f"first_hour_{stem}{'_changed' if '--set' in words else ''}.png"
-    if file.name in (DOCS / "first-hour.md").read_text(encoding="utf-8"):
+    file = FIGURES / f"getting_started_{Path(shlex.split(words)[0]).stem}.png"
+    if "--set" not in words and file.name in TUTORIAL.read_text(encoding="utf-8"):
         grasp_figure(record, scenario).savefig(file, dpi=110)
 
 
-def photograph(runs: Sequence[tuple[str, Scenario, Record]]) -> None:
-    """Take pictures of the report of the pull and of a comparison, in Chromium.
+def photograph(scenario: Scenario, record: Record) -> None:
+    """Take a picture of the report of a run, in Chromium.
 
     Args:
-        runs: What the pages have run.
+        scenario: Its scenario.
+        record: The run.
     """
     sys.path.insert(0, str(DOCS.parent / "test"))
     from support.browser import browser
-    from support.recorded import write_record
 
-    from tactile_hand_ros.report.page import write_comparison, write_report
-    from tactile_hand_ros.run.run import Run
-
-    found = {words: (scenario, record) for words, scenario, record in runs}
-    with tempfile.TemporaryDirectory() as name:
-        folder, opened = Path(name), {}
-        for words in ("pull", "my/target.yaml", "my/law.yaml"):
-            scenario, record = found[words]
-            told = {"scenario": resolved(scenario), "lost_messages": "0"}
-            bag = write_record(folder / scenario.name / "bag", record, custom_data=told)
-            opened[words] = Run(bag)
-        with browser(folder / "profile") as page:
-            page.open(write_report(opened["pull"], folder), size=(1280, 800))
-            page.js("report.player.seek(2.03)")
-            page.driver.save_screenshot(str(FIGURES / "report.png"))
-            pair = [opened["my/target.yaml"], opened["my/law.yaml"]]
-            page.open(write_comparison(pair, folder / "comparison.html"), size=(1280, 800))
-            page.js("report.player.seek(2.0)")
-            page.driver.save_screenshot(str(FIGURES / "first_hour_comparison.png"))
+    with tempfile.TemporaryDirectory() as folder, browser(Path(folder) / "profile") as page:
+        page.open(Result(record, scenario).report(folder), size=(1280, 800))
+        page.js("report.player.seek(2.03)")
+        page.driver.save_screenshot(str(FIGURES / "report.png"))
 
 
-def main() -> int:
-    """Draw, or check what is drawn, and return the exit code."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--check", action="store_true", help="write nothing, fail if out of date")
-    check = parser.parse_args().check
-    stale: list[str] = []
-    runs: list[tuple[str, Scenario, Record]] = []
+def main() -> None:
+    """Write results and pictures."""
 
-    def watch(*run: Any) -> None:
-        runs.append(run)
-        if not check:
-            draw(*run)
+    def watch(words: str, scenario: Scenario, record: Record) -> None:
+        draw(words, scenario, record)
+        if words == "human_pull":
+            photograph(scenario, record)
 
     for page in PAGES:
-        before = page.read_text(encoding="utf-8")
-        after = redrawn(before, watch)
-        if after != before:
-            stale.append(page.name)
-            if not check:
-                page.write_text(after, encoding="utf-8")
-    if not check:
-        photograph(runs)
-    print(f"out of date: {', '.join(stale)}" if check and stale else "all pages say what happens")
-    return 1 if check and stale else 0
+        page.write_text(redrawn(page.read_text(encoding="utf-8"), watch), encoding="utf-8")
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

@@ -3,7 +3,7 @@
 
 In the process, tick by tick and without a clock, so that the results are the same on every
 computer. During a stall nothing but the plant and the guard runs: no skin, no regulator, no
-controller. `make study NAME=stalls` makes the table of docs/safe_hold.md.
+controller. `make study NAME=stalls` makes the table of docs/results/measurements.md.
 """
 
 from __future__ import annotations

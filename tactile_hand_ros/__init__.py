@@ -4,7 +4,7 @@
 The names below are what users of the library need; each is loaded when it is first asked for.
 `control` is what runs on a real hand and `simulation` what replaces one. `closed_loop` wires the
 blocks in-process, `ros` and `nodes` by topics. `bag`, `run`, `verify` and `report` work on
-recordings. docs/architecture.md shows how a tick, a slip and a recording pass through them.
+recordings. docs/explanation/architecture.md shows the path of a tick, a slip and a recording.
 """
 
 from __future__ import annotations

@@ -21,7 +21,7 @@ With the posture q(t) that brings the joints from theta_0, theta'_0 to rest it a
           + M_h (q'' + 2 w (q' - theta') + w^2 (q - theta)),
 
 where tau_c is the torque with which the contacts pressed when it began, f_int the internal part of
-the tip forces, and s grows with the load on the tips. See docs/safe_hold.md.
+the tip forces, and s grows with the load on the tips. See docs/explanation/safe-hold.md.
 """
 
 from __future__ import annotations

@@ -9,9 +9,9 @@ frames (x, n, z), and p the impulses on the object. Every contact obeys
 
 The cone is the exact circular one and sticking means w_t = 0 to rounding. Where no gap is negative
 (c >= 0) and velocities before the step exist that make b, there always is a solution, whatever mu
-and however singular W; see docs/physics.md. A penetration (c < 0) cannot always be left: fingers
-may jam the object. Then it may not grow, which is c = 0. One in a hundred arbitrary problems with a
-singular W or a huge mu is not solved; the outcome says so.
+and however singular W; see docs/explanation/physics.md. A penetration (c < 0) cannot always be
+left: fingers may jam the object. Then it may not grow, which is c = 0. One in a hundred arbitrary
+problems with a singular W or a huge mu is not solved; the outcome says so.
 
 The laws hold where a function of p vanishes, whose root Newton's method finds (Alart and Curnier
 1991).

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""docs/equations.md names code that exists and says itself which equation it implements."""
+"""docs/reference/equations.md names code that exists and that names its equation."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
 PACKAGE = "tactile_hand_ros"
-PAGE = ROOT / "docs" / "equations.md"
+PAGE = ROOT / "docs" / "reference" / "equations.md"
 
 
 def table(heading: str) -> list[list[str]]:
@@ -35,8 +35,8 @@ def _above(folder: str) -> list[str]:
     return [] if folder in ("bench", "studies") else [PACKAGE]
 
 
-def resolve(name: str) -> tuple[Any, Any]:
-    """Return the object of a dotted name below the package, and its module."""
+def resolve(name: str) -> Any:
+    """Return the object of a dotted name below the package."""
     parts = name.split(".")
     for count in range(len(parts), 0, -1):
         try:
@@ -46,7 +46,7 @@ def resolve(name: str) -> tuple[Any, Any]:
         found: Any = module
         for attribute in parts[count:]:
             found = getattr(found, attribute)
-        return found, module
+        return found
     raise ModuleNotFoundError(name)
 
 
@@ -57,13 +57,8 @@ def test_every_equation_has_a_home() -> None:
 
 @pytest.mark.parametrize("row", EQUATIONS, ids=lambda row: f"{row[0]} {row[2]}")
 def test_the_named_code_exists_and_names_its_equation(row: list[str]) -> None:
-    equation, _, name, link = row
-    found, module = resolve(name.strip("`"))
-    assert equation in found.__doc__
-    text, target = re.fullmatch(r"\[(.+)\]\((.+)\)", link).groups()  # type: ignore[union-attr]
-    path = (PAGE.parent / target).resolve()
-    assert path == ROOT.joinpath(*_above(text.split("/")[0]), text) and path.is_file()
-    assert ".".join(path.relative_to(ROOT).with_suffix("").parts) == module.__name__
+    equation, _, name = row
+    assert equation in resolve(name.strip("`")).__doc__
 
 
 def test_no_other_code_writes_the_grasp_map_or_the_hand_jacobian_again() -> None:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""docs/parameters.md says what the code declares: name, default, unit, range, live, meaning."""
+"""docs/reference/parameters.md lists what the code declares."""
 
 import enum
 from pathlib import Path
@@ -11,7 +11,7 @@ from tactile_hand_ros.config.model import leaves
 from tactile_hand_ros.nodes.recorder.config import RecorderConfig
 from tactile_hand_ros.scenario.scenario import Scenario
 
-PAGE = Path(__file__).parents[2] / "docs" / "parameters.md"
+PAGE = Path(__file__).parents[2] / "docs" / "reference" / "parameters.md"
 SHARED = ("hand", "layout", "gravity", "calibration", "seed", "duration")
 NODES = ("plant", "tactile_sensor", "slip_regulator", "force_optimizer", "manipulation_controller")
 MODELS = {name: Scenario.model_fields[name].annotation for name in NODES}

@@ -96,8 +96,9 @@ def modules_of_a_tick(node: Any) -> list[str]:
 
 
 def drawn(heading: str) -> set[str]:
-    """Return the modules in the diagram of docs/architecture.md below a line."""
-    page = (Path(__file__).parents[2] / "docs" / "architecture.md").read_text("utf-8")
+    """Return the modules in the diagram of docs/explanation/architecture.md below a line."""
+    docs = Path(__file__).parents[2] / "docs"
+    page = (docs / "explanation" / "architecture.md").read_text("utf-8")
     diagram = page.split(heading, 1)[1].split("```")[1]
     words = set(re.findall(r"[a-z_]+(?:/[a-z_]+)*", diagram))
     return {word for word in words if (PACKAGE / f"{word}.py").is_file()}
