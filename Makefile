@@ -39,7 +39,7 @@ unexport VIRTUAL_ENV
 INSTALLED := setup.py setup.cfg package.xml pyproject.toml \
 	$(shell find tactile_hand_ros config scripts resource -type f ! -path '*/__pycache__/*' 2>/dev/null | LC_ALL=C sort)
 
-.PHONY: help demo run test lint bench study docs-figures mutate lock audit setup clean FORCE
+.PHONY: help demo run test lint bench study docs docs-figures mutate lock audit setup clean FORCE
 .DELETE_ON_ERROR:
 
 help:
@@ -48,6 +48,7 @@ help:
 	@echo 'make test                 ruff, mypy and all tests'
 	@echo 'make bench                measure'
 	@echo 'make study NAME=slip      a study: slip, loads, faults, invariance, stalls or fuzz; ARGS="--help" for its options'
+	@echo 'make docs                 build the documentation as a site, site/index.html'
 	@echo 'make docs-figures         run the examples of the documentation, write their numbers and pictures into it'
 	@echo 'make lint                 ruff and mypy'
 	@echo 'make mutate               change lines on purpose: which changes does no test notice?'
@@ -68,7 +69,7 @@ study: $(VENV)/.studies $(VENV)/.package
 # `pytest`, not `python -m pytest`: the latter puts the source tree first, and the tests are to exercise what
 # was installed. Message fields are not type-checked by default; in tests they are.
 # The tests run even when lint complains, so that one run shows everything.
-test: $(VENV)/.dev $(VENV)/.browser $(VENV)/.package
+test: $(VENV)/.docs $(VENV)/.browser $(VENV)/.package
 	@failed=0; \
 	$(MAKE) --no-print-directory lint || failed=1; \
 	ROS_PYTHON_CHECK_FIELDS=1 "$$VENV_PREFIX/bin/pytest" $(PYTEST_ARGS) || failed=1; \
@@ -82,11 +83,16 @@ lint: $(VENV)/.dev $(VENV)/.package
 mutate: $(VENV)/.dev $(VENV)/.package
 	@PYTHONPATH=. nice $(PY) -m studies.mutation $(ARGS)
 
-docs-figures: $(VENV)/.dev $(VENV)/.browser $(VENV)/.package
-	@"$$VENV_PREFIX/bin/tactile-hand" reproduce --out docs/figures
-	@$(PY) docs/draw_pages.py
+# docs/site_markdown.py is found by PYTHONPATH; the cache does not notice when the code has changed.
+docs: $(VENV)/.docs $(VENV)/.package
+	@PYTHONPATH=docs "$$VENV_PREFIX/bin/zensical" build --strict --clean
 
-setup: $(VENV)/.dev $(VENV)/.browser $(VENV)/.package
+docs-figures: $(VENV)/.dev $(VENV)/.browser $(VENV)/.package
+	@"$$VENV_PREFIX/bin/tactile-hand" reproduce --out docs/results/reproduction
+	@$(PY) docs/draw_pages.py
+	@$(PY) docs/draw_animation.py
+
+setup: $(VENV)/.docs $(VENV)/.browser $(VENV)/.package
 
 # After a pin has changed; uv is the only tool that this needs, and nothing else needs it.
 lock: $(VENV)/.created
@@ -131,6 +137,11 @@ $(VENV)/.run: requirements/locked/run.txt $(VENV)/.created
 $(VENV)/.dev: requirements/locked/dev.txt requirements/locked/studies.txt $(VENV)/.run
 	@echo 'set-up: test tools'
 	@$(PIP_INSTALL) $(LOCKED) $(addprefix -r requirements/locked/,run.txt studies.txt dev.txt)
+	@touch '$@'
+
+$(VENV)/.docs: requirements/locked/docs.txt $(VENV)/.dev
+	@echo 'set-up: what the documentation is built with'
+	@$(PIP_INSTALL) $(LOCKED) $(addprefix -r requirements/locked/,run.txt studies.txt dev.txt docs.txt)
 	@touch '$@'
 
 # Without a browser only the tests of the report fail, and they say what is missing; it is looked for again next time.

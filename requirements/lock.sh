@@ -7,7 +7,8 @@ cd "$(dirname "$0")"
 uv=${UV:-uv}
 index=${INDEX:-https://pypi.org/simple}
 
-names() { sed -n 's/^\([A-Za-z0-9._-]*\)==.*/\1/p' "$@" | sort -u; }
+# Packages of a locked file for every Python; one with a marker may be needed again.
+names() { sed -n 's/^\([A-Za-z0-9._-]*\)==[^;]*$/\1/p' "$@" | sort -u; }
 
 # lock NAME BASE...: what requirements/NAME.txt needs on top of the locked files BASE.
 lock() {
@@ -27,3 +28,4 @@ rm -f locked/*.txt
 lock run
 lock studies run
 lock dev run
+lock docs run

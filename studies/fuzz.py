@@ -3,8 +3,8 @@
 
 The bytes of a message are damaged behind its header, so that it is of a type that the nodes read.
 Values that are plausible are not sent here: see `make study NAME=faults`. Nor are requests of
-services: the middleware trusts their lengths, see docs/how-to/security.md. What reads messages and files
-is attacked without nodes by `test/property/test_hostile_*.py`.
+services: the middleware trusts their lengths, see docs/how-to/security.md. Readers of messages and
+files are attacked without nodes by `test/property/test_hostile_*.py`.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The paper's equations once more, written as they are printed: what tests compare with.
 
-Plain NumPy, nothing from the package and no cleverness; docs/reference/equations.md names what runs.
+Plain NumPy and nothing from the package; docs/reference/equations.md names the code that runs.
 """
 
 from __future__ import annotations

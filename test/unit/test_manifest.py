@@ -85,7 +85,7 @@ def locked(name: str) -> dict[str, list[Requirement]]:
     return found
 
 
-@pytest.mark.parametrize("name", ["ros.txt", "run.txt", "dev.txt", "studies.txt"])
+@pytest.mark.parametrize("name", ["ros.txt", "run.txt", "dev.txt", "studies.txt", "docs.txt"])
 def test_pins_are_locked_with_their_hashes(name: str) -> None:
     files = [path.name for path in (ROOT / "requirements/locked").iterdir()]
     everything = {key: each for file in files for key, each in locked(file).items()}

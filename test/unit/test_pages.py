@@ -5,8 +5,12 @@ from __future__ import annotations
 
 import glob
 import importlib.util
+import os
 import re
 import shlex
+import shutil
+import subprocess
+import sys
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
 from typing import Any
@@ -133,7 +137,7 @@ def fenced(text: str, kind: str) -> str:
 
 
 def test_a_hand_of_ones_own_is_tried_by_the_command_of_its_page(real_hand: str) -> None:
-    [option] = re.findall(r'--set (hand=\S+) …`', real_hand)
+    [option] = re.findall(r"--set (hand=\S+) …`", real_hand)
     wide = 0.2604 + 2.0 * (0.06 - 0.008)  # m; its tips are smaller than those of the paper
     changes = parse_changes([option, f"plant.object.size=[{wide}, {wide}, {wide}]", "duration=0.1"])
     record = ClosedLoop(load_scenario("paper", changes)).run()
@@ -187,6 +191,25 @@ def test_every_link_leads_somewhere(path: Path) -> None:
         assert target.exists(), link
         if anchor:
             assert anchor in anchors(target.read_text("utf-8")), link
+
+
+def test_the_site_builds_without_warnings_and_needs_no_network(tmp_path: Path) -> None:
+    shutil.copy(ROOT / "mkdocs.yml", tmp_path)
+    shutil.copytree(ROOT / "docs", tmp_path / "docs")
+    zensical = Path(sys.executable).with_name("zensical")
+    built = subprocess.run(
+        [zensical, "build", "--strict"],
+        cwd=tmp_path,
+        env={**os.environ, "PYTHONPATH": "docs"},
+        capture_output=True,
+        text=True,
+    )
+    assert built.returncode == 0 and "No issues found" in built.stderr, built.stdout + built.stderr
+    pages = {path.stem: path.read_text("utf-8") for path in (tmp_path / "site").rglob("*.html")}
+    for name, text in pages.items():
+        assert not re.search(r"<(?:script|link|img)[^>]*(?:src|href)=.?https?:", text), name
+    assert "<math" in pages["overview"] and "front_door.simulate" in pages["api"]
+    assert "tactile-hand run" in pages["commands"]
 
 
 def commands() -> list[tuple[str, str]]:
