@@ -4,7 +4,7 @@
 A fenced block whose first line is a comment with a path is a file of the example. In a block of
 kind ``console``, a line that starts with ``$ tactile-hand run`` is run in-process, which gives the
 same numbers as the processes. Below it stand those lines of its output that have a goal; an
-ellipsis stands for the others.
+ellipsis stands for the others. A script after ``$ python`` is run too.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ from __future__ import annotations
 import argparse
 import os
 import re
+import runpy
 import shlex
 import sys
 import tempfile
@@ -29,9 +30,10 @@ from tactile_hand_ros.scenario.scenario import UNLIMITED_SLIP, Scenario, load_sc
 
 DOCS = Path(__file__).resolve().parent
 TUTORIAL = DOCS / "tutorials" / "getting-started.md"
-PAGES = (TUTORIAL, DOCS / "how-to" / "scenarios.md")
+OWN_HAND = DOCS / "tutorials" / "your-own-hand.md"
+PAGES = (TUTORIAL, OWN_HAND, DOCS / "how-to" / "scenarios.md")
 FIGURES = DOCS / "figures"
-COMMAND = "$ tactile-hand run "
+COMMAND, SCRIPT = "$ tactile-hand run ", "$ python "
 
 _BLOCK = re.compile(r"^```(\w+)\n(.*?)^```$", re.M | re.S)
 _FILE = re.compile(r"# ([\w./-]+\.(?:yaml|py))\b")
@@ -69,7 +71,7 @@ def _block(found: re.Match[str], watch: Watch) -> str:
         file = Path(named.group(1))
         file.parent.mkdir(parents=True, exist_ok=True)
         file.write_text(body, encoding="utf-8")
-    if kind == "console" and COMMAND in body:
+    if kind == "console":
         body = "\n".join(_results(body, watch)) + "\n"
     return f"```{kind}\n{body}```"
 
@@ -84,6 +86,8 @@ def _results(body: str, watch: Watch) -> Iterator[str]:
             yield from _run(line.removeprefix(COMMAND), watch)
         elif line.startswith("$ "):
             known = False
+            if line.startswith(SCRIPT):
+                runpy.run_path(line.removeprefix(SCRIPT), run_name="__main__")
         if not known:
             yield line
 

@@ -7,6 +7,7 @@ import glob
 import importlib.util
 import os
 import re
+import runpy
 import shlex
 import shutil
 import subprocess
@@ -26,6 +27,8 @@ from tactile_hand_ros.closed_loop.loop import ClosedLoop
 from tactile_hand_ros.closed_loop.record import Record
 from tactile_hand_ros.config.paths import config_directory
 from tactile_hand_ros.config.plain_yaml import parse_changes
+from tactile_hand_ros.errors import TactileHandError
+from tactile_hand_ros.run.result import columns
 from tactile_hand_ros.scenario.scenario import Scenario, load_scenario, resolved
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -92,6 +95,61 @@ def test_the_scenarios_page_shows_what_its_commands_print() -> None:
     assert "\ngoal reached" in text
 
 
+@pytest.fixture
+def own_hand(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Return the folder with the files of the page about a hand of one's own, the URDF included."""
+    folder = tmp_path / "my"
+    folder.mkdir()
+    text = page("docs/tutorials/your-own-hand.md")
+    for name, body in re.findall(r"^```\w+\n# my/([\w.]+)(.*?)^```$", text, re.M | re.S):
+        (folder / name).write_text("#" + body)
+    runpy.run_path(str(folder / "make_hand.py"), run_name="__main__")
+    monkeypatch.chdir(tmp_path)
+    return folder
+
+
+def test_the_page_about_ones_own_hand_shows_what_its_commands_print() -> None:
+    text = page("docs/tutorials/your-own-hand.md")
+    kept: list[Record] = []
+    assert agrees(tool.redrawn(text, lambda *run: kept.append(run[2])), text), (
+        "run `make docs-figures`"
+    )
+    assert "\ngoal reached" in text
+    [names] = re.findall(r"frame\[\[(.*?)\]\]", text)
+    assert set(re.findall(r'"([\w.]+)"', names)) <= set(columns(kept[0]))
+
+
+def test_a_gripper_is_rejected_with_the_words_of_the_page(own_hand: Path) -> None:
+    hand = own_hand / "my_hand.yaml"
+    hand.write_text(re.sub(r".*name: middle.*\n", "", hand.read_text()))
+    words = "should have at least 3 items"
+    assert words in page("docs/tutorials/your-own-hand.md")
+    with pytest.raises(TactileHandError, match=words):
+        ClosedLoop(load_scenario("my/hold.yaml"))
+
+
+def test_fingers_of_two_joints_are_rejected_with_the_words_of_the_page(own_hand: Path) -> None:
+    urdf = own_hand / "my_hand.urdf"
+    urdf.write_text(
+        urdf.read_text().replace('_abduction" type="revolute"', '_abduction" type="fixed"')
+    )
+    words = "the hand is singular (A5): the smallest singular value of J_h (9 x 6) is 0 m/rad"
+    assert words in page("docs/tutorials/your-own-hand.md")
+    changes = parse_changes(["plant.initial_joints=[1.309,1.1697]"])
+    with pytest.raises(TactileHandError, match=re.escape(words)):
+        ClosedLoop(load_scenario("my/hold.yaml", changes))
+
+
+def test_a_bag_is_read_as_its_page_says(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    record = ClosedLoop(load_scenario("paper", parse_changes(["duration=0.6"]))).run()
+    write_record(tmp_path / "runs" / "latest" / "bag", record.part(_SHORT))
+    exec(fenced(page("docs/how-to/record-and-replay.md").split("Raw messages")[1], "python"), {})
+    assert len(capsys.readouterr().out.splitlines()) == 60
+
+
 def test_a_stale_number_in_a_page_is_noticed() -> None:
     text = "│ longest slip │ 0.12 mm │ < 1 mm │ pass │"
     assert agrees(text.replace("0.12", "0.1201"), text)
@@ -99,7 +157,7 @@ def test_a_stale_number_in_a_page_is_noticed() -> None:
     assert not agrees(text.replace("pass", "fail"), text)
 
 
-@pytest.mark.parametrize("name", ["README.md", "docs/how-to/scenarios.md"])
+@pytest.mark.parametrize("name", ["README.md", "docs/how-to/scenarios.md", "docs/how-to/sweeps.md"])
 def test_the_python_of_a_page_runs(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -173,7 +231,7 @@ def test_the_drivers_loop_of_the_page_holds_the_joints(real_hand: str) -> None:
 @pytest.mark.parametrize("path", TEXTS, ids=lambda path: path.name)
 def test_the_files_that_a_page_names_exist(path: Path) -> None:
     there = [f"/{file.relative_to(ROOT)}" for file in ROOT.rglob("*.py")]
-    for name in re.findall(r"`([\w/]+\.py)`", path.read_text("utf-8")):
+    for name in re.findall(r"`(?!my/)([\w/]+\.py)`", path.read_text("utf-8")):
         assert any(file.endswith(f"/{name}") for file in there), name
 
 
@@ -183,14 +241,16 @@ def anchors(text: str) -> set[str]:
     return {re.sub(r"[^\w -]", "", title.lower()).strip().replace(" ", "-") for title in titles}
 
 
-@pytest.mark.parametrize("path", [*TEXTS, ROOT / "CONTRIBUTING.md"], ids=lambda path: path.name)
-def test_every_link_leads_somewhere(path: Path) -> None:
-    for link in re.findall(r"\]\((?!https?:)([^)\s]+)\)", path.read_text("utf-8")):
-        name, _, anchor = link.partition("#")
-        target = path.parent / name if name else path
+@pytest.mark.parametrize("name", ["README.md", "CONTRIBUTING.md", "SECURITY.md"])
+def test_links_into_the_tree_lead_somewhere(name: str) -> None:
+    """Those between pages of the site are checked when it is built."""
+    for link in re.findall(r"\]\((?!https?:)([^)\s]+)\)", page(name)):
+        file, _, anchor = link.partition("#")
+        target = ROOT / (file or name)
         assert target.exists(), link
         if anchor:
-            assert anchor in anchors(target.read_text("utf-8")), link
+            titles = re.findall(r"^#+ (.+)$", target.read_text("utf-8"), re.M)
+            assert anchor in [title.lower().replace(" ", "-") for title in titles], link
 
 
 def test_the_site_builds_without_warnings_and_needs_no_network(tmp_path: Path) -> None:
