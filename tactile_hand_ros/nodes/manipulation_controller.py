@@ -1,14 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """The manipulation controller: joint torques that hold and move the object.
 
-Safe state: posture and last good grasp force are held when a contact, f*, k_f or, where the load is
-observed, a force is missing or NaN, and, with the names of the missing inputs in `/diagnostics`,
-when joint states come without them for `input_timeout`. The hold stops by itself when all inputs of
-a tick are there again. A desired pose that is malformed or out of reach is counted and
-dropped, and the old one stays. Without joint states it is silent; then, and when it crashes, the
-plant (or the drivers of a real hand) must hold the joints. Disabled by the user it only damps.
-A tick at which anything else fails, or that would give a torque which is not finite, is answered
-with the hold too. No torque exceeds the effort limits of the URDF.
+Safe state: posture and last good grasp force are held when f*, k_f, too many contacts or, where the
+load is observed, a force is missing or NaN, and, with the names of the missing inputs in
+`/diagnostics`, when joint states come without them for `input_timeout`. The hold stops by itself
+when all inputs of a tick are there again. A desired pose that is malformed or out of reach is
+counted and dropped, and the old one stays. Without joint states it is silent; then, and when it
+crashes, the plant (or the drivers of a real hand) must hold the joints. Disabled by the user it
+only damps. A tick at which anything else fails, or that would give a torque which is not finite, is
+answered with the hold too. No torque exceeds the effort limits of the URDF.
 """
 
 from __future__ import annotations

@@ -235,6 +235,14 @@ def test_a_joint_may_move_two_milliradians_under_the_same_torque(turned, stuck, 
     assert not made.reason
 
 
+@pytest.mark.parametrize(("turned", "stuck"), [(0.0039, False), (0.0041, True)])
+def test_four_errors_of_a_coarse_encoder_are_no_motion(turned, stuck):
+    made = guard(**{"hold.resolution": 0.001})
+    tick = follow(made)
+    step(made, tick, TORQUE, theta=THETA + turned * (np.arange(9) == 7))
+    assert (made.reason == command_guard.STUCK) == stuck
+
+
 @pytest.mark.parametrize(("pull", "reason"), [(-0.19, ""), (-0.21, command_guard.PULLS)])
 def test_a_command_may_pull_with_a_fifth_of_the_grasp_force(pull, reason):
     """Under weight and bias, which are no grasp force; a load on all tips alike is none either."""

@@ -12,12 +12,16 @@ from tactile_hand_ros.closed_loop.loop import ClosedLoop
 from tactile_hand_ros.closed_loop.record import Record
 from tactile_hand_ros.control.contact import Contacts
 from tactile_hand_ros.control.controller import Mode
-from tactile_hand_ros.control.laws import LawConfig, ManipulationLaw
+from tactile_hand_ros.control.laws import AuxiliaryPose, LawConfig, ManipulationLaw, Target
 from tactile_hand_ros.control.optimizer.force_optimizer import (
     ForceOptimizer,
     ForceOptimizerConfig,
     Status,
 )
+from tactile_hand_ros.control.reach import check_reach
+from tactile_hand_ros.control.regrasp import Regrasp, RegraspConfig
+from tactile_hand_ros.control.slip.regulator import SlipRegulator, SlipRegulatorConfig
+from tactile_hand_ros.errors import PoseError
 from tactile_hand_ros.hand.hand import Fingertips, Hand
 from tactile_hand_ros.scenario.scenario import load_scenario
 
@@ -64,6 +68,10 @@ def test_a_finger_that_starts_off_the_object_closes_while_four_hold(tmp_path):
         loop.tick(record, row)
         if row == 200:
             assert loop.controller.missing.startswith("no contact at f1")
+    hand = loop.controller.hand
+    tips = [hand.tip_positions(record.theta[row])[0] for row in (300, 600)]
+    speed = loop.scenario.manipulation_controller.regrasp.speed  # also against its weight
+    assert np.linalg.norm(tips[1] - tips[0]) / 0.3 == pytest.approx(speed, rel=0.1)
     touching = np.isfinite(record.true_positions[:, 0, 0])
     came = int(touching.argmax())
     assert 0 < came < 1200 and touching[came:].all()
@@ -131,6 +139,20 @@ def test_f_star_is_that_of_a_hand_with_just_the_fingers_that_touch(fingers, with
         assert (found.forces[without] == 0.0).all()
 
 
+def test_the_grasp_force_stays_where_the_others_need_no_more():
+    """Two fingers hold nearly all; one of the two that are left lets go."""
+    regulator = SlipRegulator(SlipRegulatorConfig(mode="auto"), 4)
+    forces = np.array([[0.0, x, 0.0] for x in (4.0, 0.2, 4.0, 0.2)])
+    for tick in range(300):
+        contacts = ring(4, [3] if tick >= 200 else [])
+        forces[3] = 0.2 * (tick < 200)
+        seen = np.where(forces > 0.0, forces + 1e-3 * np.sin(tick + np.arange(4.0))[:, None], 0.0)
+        regulator.step(1_000_000 * tick, contacts, seen)
+        if tick == 199:
+            before = regulator.grasp_force
+    assert regulator.grasp_force < 1.3 * before
+
+
 def test_touch_that_is_rejected_is_rejected_by_the_fingers_that_are_left_too():
     """Also where they were left only afterwards."""
     optimizer = ForceOptimizer(ForceOptimizerConfig(cones=True), 4)
@@ -177,3 +199,33 @@ def test_a_part_of_a_hand_has_its_joints_and_gravity(tmp_path):
         assert (a[chosen] == b).all()
     assert (whole[1] == some[1]).all() and (whole[2] == some[2]).all()
     assert hand.part(np.ones(4, dtype=bool)) is hand
+
+
+def test_a_finger_without_contact_need_not_follow_a_move(tmp_path):
+    loop = ClosedLoop(scenario_of(tmp_path, 4, 0.1, {}))
+    contacts, hand = loop.state.contacts, loop.plant.hand
+    fewer = Contacts(contacts.positions.copy(), contacts.rotations)
+    fewer.positions[0] = np.nan
+    pose = AuxiliaryPose(contacts.centroid, np.eye(3))
+    for shift, fits in ((0.01, True), (3.0, False)):
+        target = Target(pose.position + [0.0, 0.0, shift], np.eye(3))
+        try:
+            check_reach(hand, loop.state.theta, fewer, pose, target)
+            found = ""
+        except PoseError as error:
+            found = str(error)
+        assert (found == "") == fits and "f1 " not in found
+
+
+def test_closing_fingers_search_until_they_touch_or_have_gone_all_the_way(tmp_path):
+    loop = ClosedLoop(scenario_of(tmp_path, 4, 0.1, {}))
+    contacts, hand = loop.state.contacts, loop.plant.hand
+    fewer = Contacts(contacts.positions.copy(), contacts.rotations)
+    fewer.positions[0] = np.nan
+    fingers = Regrasp(RegraspConfig(), hand)
+    fingers.leave(loop.state.theta, contacts)
+    fingers.close()
+    assert fingers.searches(fewer) and not fingers.searches(contacts)
+    for _ in range(11):  # 22 mm
+        fingers.posture(fewer, 0.1)
+    assert not fingers.searches(fewer)
