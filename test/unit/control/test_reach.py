@@ -188,22 +188,26 @@ def test_a_turn_that_rolls_a_contact_over_the_rim_is_refused(name, degrees):
         turned(name, degrees, 1.0)
 
 
-def test_a_move_ends_where_a_contact_nears_the_rim():
+def test_a_move_ends_where_a_contact_nears_the_rim_and_may_go_back():
     """What is known before is a few degrees off: this turn is accepted, and ends on its way."""
     loop = turned("human_hold", 41, 2.6)
     hand, watch = loop.controller.hand, GraspMonitor(loop.controller.hand)
-    ticks, reasons = 2400, []
+    points = loop.state.contacts.positions
+    home = Target(points.mean(axis=0), VirtualFrame().orientation(points))
+    ticks, stops, margins = 2600, [], []
     record = Record.empty(ticks, hand.finger_names, hand.joint_names)
     for row in range(ticks):
         command = loop.answer(record, row)
+        margins.append(watch.margins(record.theta[row], loop.state.contacts).hemisphere)
         if "the move ends here: it brings the contact of thumb to the rim" in command.reason:
-            reasons.append(row)
-            margin = watch.margins(record.theta[row], loop.state.contacts).hemisphere
-            assert 0.05 * np.pi == pytest.approx(margin, abs=0.02)
+            stops.append(row)
+        if row == 2200:
+            loop.controller.command(home)
         loop.advance(command.torque)
-    assert len(reasons) == 1  # and it stays there
-    end = watch.margins(record.theta[-1], loop.state.contacts).hemisphere
-    assert 0.0 < end and record.true_slid.max() < 1e-5
+    assert len(stops) == 1 and stops[0] < 2150  # and it stays there, until it goes back
+    assert margins[stops[0]] == pytest.approx(0.05 * np.pi, abs=0.02)
+    assert 0.0 < margins[2200] < 0.2 and margins[-1] > margins[2200] + 0.1
+    assert record.true_slid.max() < 1e-5
 
 
 def test_fractions_are_left_to_the_rims_and_to_the_ends_of_the_joints():
