@@ -13,6 +13,7 @@ from tactile_hand_ros.closed_loop.record import Record
 from tactile_hand_ros.control.contact import Contacts
 from tactile_hand_ros.control.controller import Mode
 from tactile_hand_ros.control.laws import AuxiliaryPose, LawConfig, ManipulationLaw, Target
+from tactile_hand_ros.control.loads import CarriedLoad
 from tactile_hand_ros.control.optimizer.force_optimizer import (
     ForceOptimizer,
     ForceOptimizerConfig,
@@ -87,7 +88,7 @@ def test_what_stops_a_finger_where_it_feels_nothing_is_pressed_softly(tmp_path):
     """The skin of finger 1 fails while it holds: it lets go, and leans on the object."""
     loop = ClosedLoop(scenario_of(tmp_path, 4, 0.6, {}))
     record = Record.empty(600, loop.plant.hand.finger_names, loop.plant.hand.joint_names)
-    step = loop.sensor.step
+    step = loop.chain.sensor.step
 
     def without_skin(*args):
         touch = step(*args)
@@ -98,7 +99,7 @@ def test_what_stops_a_finger_where_it_feels_nothing_is_pressed_softly(tmp_path):
     for row in range(600):
         loop.tick(record, row)
         if row == 300:
-            loop.sensor.step = without_skin
+            loop.chain.sensor.step = without_skin
     assert record.true_forces[290, 0, 1] > 2.0
     weight = loop.controller.hand.finger_weight
     assert 0.0 < record.true_forces[-50:, 0, 1].mean() < 0.3 * weight
@@ -127,13 +128,12 @@ def test_f_star_is_that_of_a_hand_with_just_the_fingers_that_touch(fingers, with
     part = np.reshape(weights, (-1, 3))[touching].ravel().tolist()
     whole = ForceOptimizer(ForceOptimizerConfig(weights=weights, cones=cones), fingers)
     fewer = ForceOptimizer(ForceOptimizerConfig(weights=part, cones=cones), len(touching))
-    contacts, friction = ring(fingers, without), np.full(fingers, 0.5)
-    forces = np.tile([0.1, 2.0, 0.2], (fingers, 1))
-    forces[without] = 0.0
+    contacts, loads = ring(fingers, without), np.tile([0.1, 0.3, 0.2], (fingers, 1))
+    carried = CarriedLoad(loads, np.linspace(0.4, 0.5, fingers), np.linspace(0.1, 0.2, fingers))
     for stamp in (1_000_000, 2_000_000):
-        found = whole.step(stamp, contacts, friction, forces)
+        found = whole.step(stamp, contacts, carried, 2.0)
         some = Contacts(contacts.positions[touching], contacts.rotations[touching])
-        expected = fewer.step(stamp, some, friction[touching], forces[touching])
+        expected = fewer.step(stamp, some, CarriedLoad(*(x[touching] for x in carried)), 2.0)
         assert found.status is Status.SOLVED
         assert found.forces[touching] == pytest.approx(expected.forces, abs=1e-12)
         assert (found.forces[without] == 0.0).all()
@@ -151,17 +151,6 @@ def test_the_grasp_force_stays_where_the_others_need_no_more():
         if tick == 199:
             before = regulator.grasp_force
     assert regulator.grasp_force < 1.3 * before
-
-
-def test_touch_that_is_rejected_is_rejected_by_the_fingers_that_are_left_too():
-    """Also where they were left only afterwards."""
-    optimizer = ForceOptimizer(ForceOptimizerConfig(cones=True), 4)
-    optimizer.reject_touch(True)
-    forces, friction = np.tile([0.5, 2.0, 0.0], (4, 1)), np.full(4, 0.5)
-    found = optimizer.step(1_000_000, ring(4, [2]), friction, forces)
-    assert found.status is Status.SOLVED and np.isnan(found.cone_margin)
-    optimizer.reject_touch(False)
-    assert np.isfinite(optimizer.step(2_000_000, ring(4, [2]), friction, forces).cone_margin)
 
 
 def test_the_pose_and_the_carried_wrench_survive_a_change_of_the_fingers_that_touch():

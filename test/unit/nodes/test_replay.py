@@ -215,5 +215,5 @@ def test_what_cannot_be_replayed_is_refused_in_a_sentence(
 ) -> None:
     with isolated_domain():
         assert main(["replay", str(bag), "--start-paused", argument]) == 2
-    printed = capsys.readouterr().err
-    assert text in printed and printed.count("\n") == 1
+    *usage, said = capsys.readouterr().err.splitlines()
+    assert text in said and len(usage) in (0, 3)

@@ -171,7 +171,7 @@ def test_of_a_grasp_that_is_not_whole_only_the_load_is_followed():
         follow(each, WEIGHT, 20)
     gone = 6.0 * SHAPE * [[1.0], [1.0], [0.0]]
     for _ in range(30):
-        found = step(need, felt(2.0 * WEIGHT, gone), whole=False)
+        found = step(need, felt(2.0 * WEIGHT, gone), grasped=False)
         expected = step(whole, felt(2.0 * WEIGHT, 6.0 * SHAPE))
     assert found[0] == pytest.approx(expected[0], rel=1e-12)
 
