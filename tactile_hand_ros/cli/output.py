@@ -49,10 +49,14 @@ def check_writable(folder: Path) -> None:
     """Create a folder for results, before any work is done for it.
 
     Raises:
-        OSError: If it cannot be created.
-        TactileHandError: If it is read-only.
+        TactileHandError: If it cannot be created, or is read-only.
     """
-    folder.mkdir(parents=True, exist_ok=True)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise TactileHandError(
+            f"{folder} cannot be created ({error.strerror}); choose another folder."
+        ) from None
     if not os.access(folder, os.W_OK):
         raise TactileHandError(f"Nothing can be written to {folder}; choose another folder.")
 

@@ -41,6 +41,7 @@ Array = NDArray[np.float64]
 _NOT_FINITE = "the law has no finite torque; holding until its inputs are plausible again"
 
 _LONGEST_GAP = 0.05  # s; of a longer pause no more is integrated or moved in one tick
+_SHORTEST_LEVER = 1e-6  # m, far below any hand's: what is solved with it has a solution
 _MOVES_UNTIL = 0.8  # of the limit of k_f; the rest is for what still comes when the move has ended
 _ROOM = 0.1  # fraction of the way to a rim or the end of a joint at which a move ends
 _LONGEST_PERIOD = 0.01  # s between ticks; what is assumed before two were seen
@@ -240,7 +241,7 @@ class Controller:
         """Let fingers hold from now on, by a mask of shape (k,)."""
         self._touching, self._fingers = touching, self.hand.part(touching)
         self._inputs = InputCheck(self._fingers)
-        self._room: Array | None = None  # where the move began, see `room`
+        self._room: Array | None = None  # largest during the present move, see `room`
 
     def _new_grasp(self) -> None:
         self.warning, self._fitted_to, self._fitted_fingers = "", 0.0, 0
@@ -438,8 +439,11 @@ class Controller:
         tips, inertia, bias = hand.dynamics(theta, rates)
         away = middle - tips.positions
         distances = np.maximum(np.linalg.norm(away, axis=1, keepdims=True), hand.radii[:, None])
-        jacobian = tips.linear.reshape(-1, hand.joints)
-        wanted = np.linalg.pinv(jacobian) @ (self.config.regrasp.speed * away / distances).ravel()
+        jacobian, speed = tips.linear.reshape(-1, hand.joints), self.config.regrasp.speed
+        # Damped least squares: near a straight finger, rates stay below half of their limits.
+        lever = max(speed / hand.velocity_limits.min(), _SHORTEST_LEVER)
+        normal = jacobian @ jacobian.T + lever**2 * np.eye(len(jacobian))
+        wanted = jacobian.T @ np.linalg.solve(normal, (speed * away / distances).ravel())
         w, still = self._stiffest(inertia), np.zeros(hand.joints)
         closing = bias + spring(inertia, w, still, wanted - rates)
         limits = hand.effort_limits
@@ -478,6 +482,7 @@ class Controller:
     ) -> str:
         """Return why the grasp stays where it is from now on; empty if it moves on."""
         if not self._reference.is_moving:
+            self._room = None
             return ""
         problem = self._way_ends(theta, contacts, grasp_force)
         if not problem:
@@ -493,8 +498,7 @@ class Controller:
         grows is the sign of it. From near a rim or an end it may go back.
         """
         left = room(self._fingers, theta, contacts)
-        if self.accepted is not None or self._room is None:
-            self._room = left
+        self._room = left if self._room is None else np.maximum(self._room, left)
         limit = self.config.grasp_force_limit
         if 0.0 < _MOVES_UNTIL * limit < grasp_force:
             return (

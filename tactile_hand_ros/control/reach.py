@@ -71,7 +71,8 @@ def check_reach(
             f"would stay {1e3 * missing[worst]:.0f} mm short of its contact{how}; ask for a pose "
             f"closer to the present one, {_text(pose.position)} m"
         )
-    left = _rolled(hand, theta, there, contacts, turn, target.position)
+    middle = target.position + turn @ (contacts.centroid - pose.position)
+    left = _rolled(hand, theta, there, contacts, turn, middle)
     worst = int(left.argmin())
     if left[worst] < 0.0 <= _rims(hand, theta, contacts.normals).min():
         raise PoseError(

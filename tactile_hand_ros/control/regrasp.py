@@ -89,7 +89,7 @@ class Regrasp:
         """
         c = self._config
         if self._closing:
-            self._give_up(~contacts.touching & (self._depth >= c.overtravel))
+            self._give_up(contacts)
             moves = np.where(contacts.touching, 0.0, c.speed * dt)
             self._depth = np.minimum(self._depth + moves, c.overtravel)
         else:
@@ -98,10 +98,11 @@ class Regrasp:
         self._posture, _ = inverse_kinematics(self._hand, tips, self._posture)
         return self._posture
 
-    def _give_up(self, missing: NDArray[np.bool_]) -> None:
-        """Open again where fingers, shape (k,), have searched as far as they may."""
-        if missing.any():
-            names = [self._hand.finger_names[i] for i in np.flatnonzero(missing)]
+    def _give_up(self, contacts: Contacts) -> None:
+        """Open again where the fingers without contact have searched as far as they may."""
+        missing = np.flatnonzero(~contacts.touching)
+        if len(missing) and not self.searches(contacts):
+            names = [self._hand.finger_names[i] for i in missing]
             self._closing = False
             self.missed = (
                 f"{', '.join(names)} closed {1e3 * self._config.overtravel:.0f} mm beyond the last "

@@ -3,12 +3,12 @@
 
 Safe state: it gives k_f only for ticks at which contacts and every finger's force have come, in
 every mode; a finger that is silent or sends NaN leaves the tick without k_f, and the controller
-holds the hand. Where a finger has lost contact the required grasp force is not known, and the slip
-response doubles k_f once. k_f never exceeds `maximum`; that it is at this limit, or that no grasp
-force can hold, is a warning in `/diagnostics`. A request of the user outside the limits is counted
-and dropped, and k_f stays. When the node crashes, the controller holds the last grasp force; a new
-node starts at the configured k_f, or outside mode user at the measured one where that is larger,
-and has to learn the friction again.
+holds the hand. Where a finger that the grasp needs has lost contact, the slip response doubles k_f
+once, and k_f follows the load that the others show. k_f never exceeds `maximum`; that it is at this
+limit, or that no grasp force can hold, is a warning in `/diagnostics`. A request of the user
+outside the limits is counted and dropped, and k_f stays. When the node crashes, the controller
+holds the last grasp force; a new node starts at the configured k_f, or outside mode user at the
+measured one where that is larger, and has to learn the friction again.
 """
 
 from __future__ import annotations

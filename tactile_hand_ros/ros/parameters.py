@@ -166,6 +166,12 @@ class ConfigParameters(Generic[C]):
             self._on_change(self.config)
 
 
+def unused_qos_overrides(node: Node) -> list[str]:
+    """Return the QoS overrides that name no subscription of a node that is complete."""
+    given = node._parameter_overrides
+    return [n for n in given if n.startswith(_QOS_PREFIX) and not node.has_parameter(n)]
+
+
 def _given_to_all(node: Node) -> set[str]:
     """Return the parameters that files give to nodes of any name, as below ``/**``.
 

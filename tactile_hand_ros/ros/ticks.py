@@ -21,6 +21,7 @@ from tactile_hand_ros.ros.streams import Decode, Stream
 
 _SECOND = 1_000_000_000
 _MILLISECOND = 1_000_000
+_SHORTEST_LEAP = 100_000_000  # ns; ticks that come in a row are nearer
 _HIGHEST = 64  # rank of the first tick
 
 
@@ -176,9 +177,10 @@ class TickInputs:
     """Subscribes to streams, joins them by stamp, skips late ticks and watches for silence.
 
     The first stream is the trigger. When it repeats an answered tick, the last answer is published
-    again. A trigger more than a second ahead is ignored until a second one confirms it: one wrong
-    stamp must not take a node ahead, where it would ignore all that comes. While two publishers
-    send it, no tick is answered: which one is right cannot be known, and the driver holds.
+    again. A trigger far ahead, by more than a tenth of a second and twice the last step, is ignored
+    until a second one confirms it: one wrong stamp must not take a node ahead, where it would
+    ignore all that comes. While two publishers send it, no tick is answered: which one is right
+    cannot be known, and the driver holds.
 
     While the trigger continues without the others for a time-out, its values are passed on alone
     and immediately, until a complete tick arrives. Silence of the trigger itself does not count:
@@ -223,6 +225,7 @@ class TickInputs:
         self._matcher = StampMatcher(topics)
         self._newest: int | None = None  # trigger [ns], and one ahead of it that is not confirmed
         self._ahead: int | None = None
+        self._step = 0  # between the last two triggers [ns]
         self._waiting: dict[int, tuple[Any, ...]] = {}  # complete, until all that is here is read
         self._previous: int | None = None  # newest tick that was answered [ns]
         self._skipped = 0
@@ -252,16 +255,17 @@ class TickInputs:
         if stamp == self._matcher.last:  # answered, but the answer has not arrived
             if not self._waiting:  # else a newer answer is about to be given
                 self._listener.on_repeat()
-        elif not self._match(self._trigger, stamp, value):
+        elif not self._match(self._trigger, stamp, value) and self._matcher.missing(stamp):
             self._note_alone(stamp, value)
 
     def _is_unconfirmed(self, stamp: int) -> bool:
         """Return whether a trigger [ns] is far ahead and confirms none that was so before."""
         newest, ahead = self._newest, self._ahead
-        if newest is not None and stamp - newest > _SECOND and (ahead is None or stamp < ahead):
+        passed = 0 if newest is None else stamp - newest
+        if passed > max(_SHORTEST_LEAP, 2 * self._step) and (ahead is None or stamp < ahead):
             self._ahead = stamp
             return True
-        self._newest, self._ahead = stamp, None
+        self._newest, self._ahead, self._step = stamp, None, max(0, passed)
         return False
 
     def _match(self, topic: str, stamp: int, value: Any) -> bool:
@@ -300,7 +304,8 @@ class TickInputs:
             since, first = self._alone_since
             if min(now - since, stamp - first) < self._timeout:
                 return
-            missing = ", ".join(self._matcher.missing(stamp))
+            oldest = next(iter(self._matcher.pending))  # of the newest, nothing is here yet
+            missing = ", ".join(self._matcher.missing(oldest))
             self._reason = f"no {missing}; holding the hand until all inputs are back"
             self._node.diagnostics.fault("inputs", self._reason)
         self._answered_blindly = stamp

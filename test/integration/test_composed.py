@@ -61,7 +61,7 @@ def test_the_bytes_are_those_of_the_closed_loop(tmp_path: Any) -> None:
         run_to_the_end(here, nodes["plant"])
         for again in (True, False):
             found = {f"/{topic}": data for each in sent for topic, data in each.items()}
-            assert {topic: data[:TICKS] for topic, data in found.items()} == expected
+            assert {topic: found[topic][:TICKS] for topic in expected} == expected
             for data in found.values():
                 data.clear()
             if again:

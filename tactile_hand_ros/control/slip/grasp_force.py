@@ -27,6 +27,7 @@ _MEMORY = np.dtype(
         ("trend", np.float64, 3),  # its rate
         ("internal", np.float64, 3),  # smoothed internal force, palm axes
         ("largest", np.float64),  # load of the recent past, N
+        ("held_for", np.float64),  # since this contact has been part of the grasp, s
     ]
 )
 
@@ -41,8 +42,8 @@ class RequiredGraspForce:
 
     What may come on top is in proportion to the weight of a finger and to the loads of the recent
     past. What a new grasp needs apart from that reserve is known from the first sample on, and
-    asked for immediately. The reserve rises while f* takes the shape that is made for it and the
-    shape is measured.
+    asked for immediately. The reserve of a contact rises while f* takes the shape that is made for
+    it and the shape is measured.
 
     Attributes:
         reserve: Load in any direction that may come on top at each contact, shape (k,), N.
@@ -68,7 +69,11 @@ class RequiredGraspForce:
     def lose(self) -> None:
         """Forget load and shape; what the recent past has shown stays."""
         self._memory["load"] = np.nan
-        self._held_for = 0.0
+
+    @property
+    def internal(self) -> Array:
+        """The internal force of the last grasp, smoothed, palm axes, shape (k, 3), N."""
+        return self._memory["internal"].copy()
 
     @property
     def load(self) -> Array:
@@ -100,14 +105,16 @@ class RequiredGraspForce:
             The first is infinite when no grasp force of the present shape can hold. The second is
             the first for a contact that no grasp force of this shape gives the reserve.
         """
-        if (np.isnan(self._memory["load"][:, 0]) != np.isnan(normals[:, 0])).any():
-            self.lose()  # other fingers touch
         memory, size = self._memory, np.sqrt((parts.load * parts.load).sum(axis=1))
+        missed, misses = np.isnan(memory["load"][:, 0]), np.isnan(normals[:, 0])
+        memory["held_for"][missed & ~misses] = 0.0
+        if (missed != misses).any():
+            memory["load"] = np.nan  # other fingers touch: another split
         faded = math.exp(-dt / _MEMORY_TIME) * memory["largest"]
         memory["largest"] = np.maximum(faded, size)
         self.reserve = self._reserve()
-        self._held_for += dt
-        radii = min(1.0, self._held_for / _RESERVE_TIME) * self.reserve
+        memory["held_for"] += dt
+        radii = np.minimum(1.0, memory["held_for"] / _RESERVE_TIME) * self.reserve
         _follow(memory, normals, parts.load, parts.internal, dt, grasped)
         return _needed(memory, normals, friction, usable, radii, dt)
 
@@ -193,10 +200,9 @@ class SlipResponse:
     """Follows the need, and goes beyond it while the need cannot be known.
 
     A contact that slides shows only what friction transmits, and a grasp that has lost a contact
-    has no need that could be computed: both show that the grasp force is too small, not by how
-    much. The grasp force then doubles immediately, and again in every 10 ms in which the
-    skin continues showing slip, or a contact that is left after another was lost is at the edge of
-    its cone.
+    shows a part of its load: both show that the grasp force is too small, not by how much. The
+    grasp force then doubles immediately, and again in every 10 ms in which the skin continues
+    showing slip.
 
     Attributes:
         grasp_force: The k_f that it asks for, N.
@@ -227,8 +233,7 @@ class SlipResponse:
         Args:
             needed: Grasp force that load and friction ask for, N; not finite while unknown.
             slips: Whether a slip continues.
-            slides: Whether the newest samples show it too; with a contact lost also whether one
-                that is left carries all that its friction is trusted with.
+            slides: Whether the newest samples show it too.
             touching: Which contacts touch, or are not needed, shape (k,).
             limit: Largest grasp force, N.
             dt: Time since the last tick, s.

@@ -238,7 +238,8 @@ class SlipRegulator:
         """Split the forces of a grasp, and return its normals too, shape (k, 3), NaN: not grasped.
 
         Three contacts are a grasp, whatever others the hand has (A7). Of fewer, one that has parted
-        carries nothing, where it was last; the rest shows the load.
+        carries nothing, where it was last. The others show the load by what is not of the shape of
+        their internal force, which nothing balances now.
         """
         touching, grasped = contacts.touching, contacts.enough_touching
         if self._doubted or not touching.any():
@@ -251,7 +252,12 @@ class SlipRegulator:
         at = (touching & held)[:, None]
         points = np.where(at, contacts.positions, self._grasp.positions)
         normals = np.where(at, contacts.normals, self._grasp.normals)
-        parts = split_part(points, normals, np.where(at, forces, 0.0), held)
+        seen = np.where(at, forces, 0.0)
+        if not grasped:
+            shape = np.where(at, self._required.internal, 0.0)
+            square = float(np.vdot(shape, shape))
+            seen -= (np.vdot(shape, seen) / square if square > 0.0 else 0.0) * shape
+        parts = split_part(points, normals, seen, held)
         if parts.margin < _CLEAR_MARGIN or (grasped and parts.grasp_force <= 0.0):
             self._grasp = None
         return (None if self._grasp is None else parts), normals

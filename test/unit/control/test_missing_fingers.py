@@ -153,6 +153,21 @@ def test_the_grasp_force_stays_where_the_others_need_no_more():
     assert regulator.grasp_force < 1.3 * before
 
 
+@pytest.mark.parametrize("every", [2, 40])
+def test_a_contact_that_flickers_leaves_the_others_their_reserve(every):
+    k_f = {}
+    for flickers in (False, True):
+        regulator = SlipRegulator(SlipRegulatorConfig(mode="auto"), 4)
+        for tick in range(2000):
+            lost = flickers and tick % every == 0
+            noise = 1e-3 * np.sin(tick + np.arange(12.0)).reshape(4, 3)
+            forces = np.array([0.0, 3.0, 0.0]) + noise
+            forces[3] *= not lost
+            regulator.step(1_000_000 * tick, ring(4, [3] if lost else []), forces)
+        k_f[flickers] = regulator.grasp_force
+    assert k_f[True] > 0.9 * k_f[False]
+
+
 def test_the_pose_and_the_carried_wrench_survive_a_change_of_the_fingers_that_touch():
     """The wrench is about the centroid: as that moves, the torque changes, the load does not."""
     config = LawConfig(k_p=1.0, k_o=1.0, integral={"k_p": 50.0, "k_o": 1.0, "force_limit": 9.0})

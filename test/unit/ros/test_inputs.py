@@ -263,6 +263,16 @@ def test_joints_that_stay_alone_for_the_time_out_are_passed_on_with_the_reason(e
     assert ear.kinds() == [("blind", 508)]
 
 
+def test_what_is_missing_is_named_also_where_the_trigger_comes_first(ear: Ear) -> None:
+    """Of the newest tick nothing else is here yet."""
+    for stamp in range(0, 504, 4):
+        ear.joints(stamp)
+        ear.others(stamp, without=names.GRASP_FORCE)
+        ear.now += 4 * MS
+    ear.joints(504)
+    assert ear.fault == "no grasp_force; holding the hand until all inputs are back"
+
+
 def test_no_tick_is_answered_after_one_that_was_answered_blindly(ear: Ear) -> None:
     """Touch that comes late, of that tick or an older one, only ends the blindness."""
     at = ear.go_blind(2)
@@ -378,7 +388,7 @@ def test_while_two_senders_send_the_trigger_no_tick_is_answered() -> None:
     assert ear.kinds() == []
 
 
-@pytest.mark.parametrize("ahead", [1_001, 10**6])
+@pytest.mark.parametrize("ahead", [101, 900, 1_001, 10**6])
 def test_one_stamp_far_ahead_does_not_silence_the_others(ahead: int) -> None:
     ear = Ear()
     for tick in range(0, 12, 2):

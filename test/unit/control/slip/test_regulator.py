@@ -217,6 +217,22 @@ def test_with_a_contact_lost_the_grasp_force_doubles_and_never_falls(finger):
     assert found[5] >= 2.0 * held - 1e-9 and (np.diff(found) >= 0.0).all()
 
 
+@pytest.mark.parametrize("lasts", [5, 40])
+def test_a_contact_that_fails_to_report_is_no_load_however_long_k_f_follows(lasts):
+    """The forces of the others stay in proportion to k_f, as of a grasp without a load."""
+    slip, k_f = regulator(mode="auto", maximum=400.0), 10.0
+    contacts, gone = three_faces(), parted(1)
+    shape = FELT / FELT[:, 1].sum()
+    for tick in range(1000 + lasts):
+        noise = 1e-3 * np.sin(tick + np.arange(9.0)).reshape(3, 3)
+        seen = gone if tick >= 1000 else contacts
+        if tick == 1000:
+            before = k_f
+        forces = np.where(seen.touching[:, None], k_f * shape + noise, 0.0)
+        k_f = slip.step(tick * 1_000_000, seen, forces)
+    assert k_f <= 2.2 * before
+
+
 def test_the_load_that_has_torn_a_contact_off_is_carried_by_the_others_and_counts():
     """As if the contact were still there and carried nothing; k_f follows within three ticks."""
     slip = regulator(mode="auto", grasp_force=4.0, maximum=200.0, reserve=NO_RESERVE)
