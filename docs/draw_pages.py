@@ -23,7 +23,7 @@ from pathlib import Path
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
 from tactile_hand_ros.closed_loop.record import Record
 from tactile_hand_ros.config.plain_yaml import parse_changes
-from tactile_hand_ros.run.result import Result
+from tactile_hand_ros.report.page import Result
 from tactile_hand_ros.report.tables import milli
 from tactile_hand_ros.run.metrics import metrics
 from tactile_hand_ros.scenario.scenario import UNLIMITED_SLIP, Scenario, load_scenario
