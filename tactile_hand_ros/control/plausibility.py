@@ -64,6 +64,7 @@ FELT_TIME = 0.005
 _TURN_TIME = 0.01  # s over which rates of a turning palm are averaged
 _SPREAD = 0.02  # of the torques of all fingers that may show at one: they share object and model
 _FROZEN_FRACTION = 0.05  # change of the torques of a finger that changes the force of any skin
+_FINE_FRACTION = 0.01  # the same of a skin that has shown its finest steps
 _STEPS = 3.0  # that a force of a skin with steps makes at least, of its finest ones
 
 
@@ -222,9 +223,10 @@ class ForceTorqueCheck:
                 own = tips.linear[i].any(axis=0)
                 change = np.abs((self._pressed - last.pressed)[own]).max()
                 lever = math.sqrt(np.square(tips.linear[i]).sum(axis=0).max())
-                steps = _STEPS * lever * last.finest if math.isfinite(last.finest) else 0.0
-                shown = _FROZEN_FRACTION * np.abs(last.pressed[own]).max() + steps
-                if change > self._least[i] + self._noise[i] + shown:
+                torque = np.abs(last.pressed[own]).max()
+                fine = _FINE_FRACTION * (torque + self._least[i]) + _STEPS * lever * last.finest
+                shown = min(fine, _FROZEN_FRACTION * torque + self._least[i])
+                if change > self._noise[i] + shown:
                     return True
         return False
 

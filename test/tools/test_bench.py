@@ -69,7 +69,7 @@ def test_ticks_go_round_by_messages_alone() -> None:
 
 def test_the_wire_carries_what_a_tick_does() -> None:
     wiring = each_tick()
-    assert (len(wiring), sum(len(link.subscribers) for link in wiring)) == (19, 17)
+    assert (len(wiring), sum(len(link.subscribers) for link in wiring)) == (23, 17)
 
 
 def test_the_in_process_loop_can_write_a_bag() -> None:

@@ -266,7 +266,7 @@ def test_the_finest_of_all_changes_of_a_force_counts(factor, found):
     """Once one component has changed by 1 mN, and later all of them by more."""
     base = torque(FORCES)
     lever = np.linalg.norm(TERMS[0].linear[1], axis=0).max()
-    limit = LIMIT + 3.0 * lever * 0.001
+    limit = 0.01 * (np.abs(base[3:6]).max() + LEAST) + 3.0 * lever * 0.001
     changed = base + factor * limit * np.eye(9)[3]
     shifts = ([0.0] * 3, [0.2, 0.0, 0.3], [0.2, 0.001, 0.7], [0.0] * 3, [0.0] * 3, [0.0] * 3)
     seen = []

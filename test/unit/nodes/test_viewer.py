@@ -237,8 +237,8 @@ def test_with_tf2_contacts_and_object_are_transforms(
 
 
 def topics_and_types() -> dict[str, Any]:
-    """Return the message class of each topic in docs/topics.md."""
-    text = (ROOT / "docs" / "topics.md").read_text("utf-8").split("## Services")[0]
+    """Return the message class of each topic in docs/reference/topics.md."""
+    text = (ROOT / "docs" / "reference" / "topics.md").read_text("utf-8").split("## Services")[0]
     rows = re.findall(r"^\| `(\w[\w/]*)` \| (\w+)/(\w+) \|", text, re.M)
     return {f"/{topic}": message_class(f"{package}/msg/{kind}") for topic, package, kind in rows}
 
