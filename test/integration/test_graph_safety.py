@@ -145,10 +145,10 @@ def test_two_senders_that_disagree_are_answered_with_a_hold(graph: Graph) -> Non
 
     graph.wait(disagree, "the plant's word")
     assert graph.says("plant", "mode", "holding")
+    assert np.linalg.norm(graph.position() - at) < 0.02
     graph.node.destroy_publisher(publisher)
     graph.wait(lambda: graph.says("plant", "mode", "running"), "the end of the disagreement")
     assert int(graph.health["/plant"].values["conflicting_commands"]) > 0
-    assert np.linalg.norm(graph.position() - at) < 0.02
     assert_held(graph)
     far = distance(graph)
     graph.wait(lambda: distance(graph) < 0.8 * far, "the way to p_d")
