@@ -11,9 +11,8 @@ import socket
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
-from typing import Any
 
-from tactile_hand_ros.ros.middleware import ros_context, socket_settings
+from tactile_hand_ros.ros.middleware import socket_settings
 from tactile_hand_ros.ros.processes import (
     ChildProcess,
     end_together,
@@ -68,13 +67,6 @@ def _environment(values: Mapping[str, str]) -> Iterator[None]:
                 os.environ.pop(name, None)
             else:
                 os.environ[name] = value
-
-
-def private_context(
-    domain: int, arguments: Sequence[str] = ()
-) -> contextlib.AbstractContextManager[Any]:
-    """Provide an rclpy context in a domain, shut down at the end; see `ros_context`."""
-    return ros_context(arguments, domain)
 
 
 class CapturedProcess(ChildProcess):

@@ -95,17 +95,15 @@ class Interrupted(Exception):
 
 
 class Signals:
-    """Counts SIGINT, SIGTERM and SIGHUP and wakes up the thread that waits.
+    """Keeps the first SIGINT, SIGTERM or SIGHUP and wakes up the thread that waits.
 
     Attributes:
         number: The first signal that came, 0 if none.
-        count: How many came.
     """
 
     def __init__(self) -> None:
         """Start without a signal."""
         self.number = 0
-        self.count = 0
         # Its put may interrupt its get in the same thread, as a handler does. An event's set would
         # wait for ever for the lock that the interrupted wait holds.
         self._came: queue.SimpleQueue[int] = queue.SimpleQueue()
@@ -122,7 +120,6 @@ class Signals:
 
     def _note(self, number: int, frame: FrameType | None) -> None:
         self.number = self.number or number
-        self.count += 1
         self._came.put(number)
 
     @property
@@ -137,7 +134,7 @@ class Signals:
 
     def check(self) -> None:
         """Raise `Interrupted` if a signal came."""
-        if self.count:
+        if self.number:
             raise Interrupted(f"ended by {self.name}")
 
     def wait(self, seconds: float) -> None:

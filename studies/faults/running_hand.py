@@ -20,7 +20,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool, Float64
 from std_srvs.srv import SetBool, Trigger
 
-from bench.processes import CapturedProcess, isolated_domain, private_context, start_executable
+from bench.processes import CapturedProcess, isolated_domain, start_executable
 from tactile_hand_ros import names
 from tactile_hand_ros.config.hand_config import load_hand_config
 from tactile_hand_ros.nodes.recorder.config import RecorderConfig
@@ -28,6 +28,7 @@ from tactile_hand_ros.ros import qos
 from tactile_hand_ros.ros.diagnostics import ERROR
 from tactile_hand_ros.ros.executor import WaitSetExecutor
 from tactile_hand_ros.ros.messages import ContactsCodec, PoseCodec, WrenchCodec, stamp_to_ns
+from tactile_hand_ros.ros.middleware import ros_context
 from tactile_hand_ros.ros.node import SUBSCRIPTIONS
 from tactile_hand_ros.ros.parameters import to_params_yaml
 from tactile_hand_ros.scenario.scenario import NODES, Scenario
@@ -87,7 +88,7 @@ class RunningHand:
             else:
                 for name in NODES:
                     self.start(name)
-            context = self._stack.enter_context(private_context(domain))
+            context = self._stack.enter_context(ros_context(domain=domain))
             self.node = Node("campaign", context=context)
             self._stack.callback(self.node.destroy_node)
             self._listen()

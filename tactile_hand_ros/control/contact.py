@@ -22,6 +22,9 @@ Array = NDArray[np.float64]
 MIN_CONTACTS = 3
 """Contacts with which an object can be held and turned at will (A7)."""
 
+OFF_TIP = 1.0 / 6.0
+"""Fraction of its radius by which a fingertip may miss its contact: 10 degrees around the tip."""
+
 # Below this length the projection of a direction on a face is no direction any more.
 _MIN_PROJECTION = 1e-3
 

@@ -386,9 +386,7 @@ class Controller:
         if problem:
             self._inputs.begin_grasp()
             return self._holding(theta, rates, problem, grasp_force, applied)
-        if (contacts.touching != self._touching).any():
-            self._hold_with(contacts.touching)
-            self._law.change_fingers()
+        self._follow_touch(contacts.touching)
         whole, contacts = contacts, contacts.part(self._touching)
         optimal_forces = optimal_forces[self._touching]
         forces = None if forces is None else forces[self._touching]
@@ -422,6 +420,12 @@ class Controller:
         if not self._touching.all():
             torque = self._closing(torque, theta, rates, contacts.centroid)
         return Command(torque, Mode.DRIVE, pose, refused)
+
+    def _follow_touch(self, touching: NDArray[np.bool_]) -> None:
+        """Hold with the fingers that touch, by a mask of shape (k,), without a jump of the law."""
+        if (touching != self._touching).any():
+            self._hold_with(touching)
+            self._law.change_fingers()
 
     def _closing(self, torque: Array, theta: Array, rates: Array, middle: Array) -> Array:
         """Return torques with which the fingers that do not touch close, shape (m,), N m.
@@ -497,14 +501,14 @@ class Controller:
         What holds the object where a move begins may not hold it where it ends: a grasp force that
         grows is the sign of it. From near a rim or an end it may go back.
         """
-        left = room(self._fingers, theta, contacts)
-        self._room = left if self._room is None else np.maximum(self._room, left)
         limit = self.config.grasp_force_limit
         if 0.0 < _MOVES_UNTIL * limit < grasp_force:
             return (
                 f"k_f = {grasp_force:.3g} N is near its limit of {limit:g} N, and the way ahead may"
                 " need more"
             )
+        left = room(self._fingers, theta, contacts)
+        self._room = left if self._room is None else np.maximum(self._room, left)
         nearer = (left < self._room - 0.5 * _ROOM) & (self._room > 0.0)
         ends = np.flatnonzero((left < _ROOM) & nearer)
         return f"it brings {end_of(self._fingers, int(ends[0]))}" if len(ends) else ""

@@ -21,14 +21,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_hand_ros.control.contact import Contacts, in_palm, joint_torques
+from tactile_hand_ros.control.contact import OFF_TIP, Contacts, in_palm, joint_torques
 from tactile_hand_ros.hand.hand import Fingertips, Hand
 from tactile_hand_ros.rotations import vector_from_rotation
 
 Array = NDArray[np.float64]
 
 
-_OFF = 1.0 / 6.0  # of its radius, that a contact may be off its fingertip: 10 degrees around it
 _STANDING = 0.5  # fraction of the tolerance of touch that contacts may move under still joints
 _SUM = 1e-3  # largest error of sum f*_n = 1
 
@@ -110,7 +109,7 @@ class ForceTorqueCheck:
         """Start without a past."""
         self._least = hand.least_force * hand.spans
         reach = float(np.max(np.linalg.norm(hand.bases, axis=1) + hand.spans))
-        self._swung = hand.finger_weight / 9.81 * reach * hand.spans  # per 1/s^2, kg m^2
+        self._swung = hand.finger_mass * reach * hand.spans  # per 1/s^2, kg m^2
         self.reset()
 
     def reset(self) -> None:
@@ -172,7 +171,7 @@ class ForceTorqueCheck:
         self._noise = np.maximum(noise, (1.0 - fraction) * self._noise)
         if not any(self._fits(past, own, limits.force) for _, past in reversed(self._past)):
             return "forces and joint torques do not fit each other; holding until they do"
-        if self._is_frozen(stamp, tips, forces, limits.latency):
+        if self._is_frozen(stamp, tips, own, forces, limits.latency):
             return "the forces of a finger do not change although its torques do; holding"
         return ""
 
@@ -205,7 +204,9 @@ class ForceTorqueCheck:
         self._gain = self._gain + fraction * ((self._spin - last) / dt - self._gain)
         return float(np.linalg.norm(self._gain) + self._spin @ self._spin)
 
-    def _is_frozen(self, stamp: int, tips: Fingertips, forces: Array, latency: float) -> bool:
+    def _is_frozen(
+        self, stamp: int, tips: Fingertips, own: NDArray[np.bool_], forces: Array, latency: float
+    ) -> bool:
         """Return whether a finger repeats its force to the bit for long, under another torque.
 
         It may do so for twice the age of forces, since a sample may be lost, and while the torque
@@ -220,10 +221,9 @@ class ForceTorqueCheck:
                 finest = min(last.finest, *changes)
                 self._repeats[i] = _Repeat(stamp, force, self._pressed, finest)
             elif 1e-9 * (stamp - last.stamp) > 2.0 * latency + FELT_TIME:
-                own = tips.linear[i].any(axis=0)
-                change = np.abs((self._pressed - last.pressed)[own]).max()
+                change = np.abs((self._pressed - last.pressed)[own[i]]).max()
                 lever = math.sqrt(np.square(tips.linear[i]).sum(axis=0).max())
-                torque = np.abs(last.pressed[own]).max()
+                torque = np.abs(last.pressed[own[i]]).max()
                 fine = _FINE_FRACTION * (torque + self._least[i]) + _STEPS * lever * last.finest
                 shown = min(fine, _FROZEN_FRACTION * torque + self._least[i])
                 if change > self._noise[i] + shown:
@@ -274,7 +274,7 @@ class InputCheck:
             tips, _, _ = terms
             problem = self._forces.step(stamp, rates, terms, contacts, *pressing, limits, palm)
         radii = self._hand.radii
-        allowed = np.full(len(radii), limits.touch) if limits.touch > 0.0 else _OFF * radii
+        allowed = np.full(len(radii), limits.touch) if limits.touch > 0.0 else OFF_TIP * radii
         gap = implausible_touch(tips, contacts, radii, allowed)
         return tips, problem or gap or self._frozen(theta, contacts, allowed)
 

@@ -16,7 +16,7 @@ from itertools import islice
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_hand_ros.control.contact import Contacts
+from tactile_hand_ros.control.contact import OFF_TIP, Contacts
 from tactile_hand_ros.control.grasp import best_rotation, centered
 from tactile_hand_ros.control.laws import AuxiliaryPose, Target
 from tactile_hand_ros.control.margins import TIP, angles_between, local_normals
@@ -26,7 +26,6 @@ from tactile_hand_ros.rotations import vector_from_rotation
 
 Array = NDArray[np.float64]
 
-_SHORT = 1.0 / 6.0  # of its radius, by which a tip may miss its place: its contact tilts by 10 deg
 _ITERATIONS = 100
 _LOOKS = 32  # postures that a check may look at: it runs inside a tick
 _ROUNDS, _LOOKS_MORE = 6, 4  # of the rolling, and postures that each of them may look at
@@ -62,10 +61,10 @@ def check_reach(
     wanted = target.position + (tips - pose.position) @ turn.T
     missing = np.linalg.norm(wanted - hand.bases, axis=1) - hand.spans
     there, how = theta, " even outstretched"
-    if (missing <= _SHORT * hand.radii).all():
+    if (missing <= OFF_TIP * hand.radii).all():
         (there, missing), how = _search(hand, wanted, theta), ""
-    worst = int((missing - _SHORT * hand.radii).argmax())
-    if missing[worst] > _SHORT * hand.radii[worst]:
+    worst = int((missing - OFF_TIP * hand.radii).argmax())
+    if missing[worst] > OFF_TIP * hand.radii[worst]:
         raise PoseError(
             f"desired pose {_text(target.position)} m is out of reach: {hand.finger_names[worst]} "
             f"would stay {1e3 * missing[worst]:.0f} mm short of its contact{how}; ask for a pose "
@@ -148,7 +147,7 @@ def _search(hand: Hand, tips: Array, start: Array) -> tuple[Array, Array]:
     The search ends as soon as all are near enough, or when its pace is hopeless.
     """
     theta, missing, length, slow = start, np.full(hand.fingers, np.inf), np.inf, 0
-    enough = _SHORT * hand.radii
+    enough = OFF_TIP * hand.radii
     for theta, error in islice(_approach(hand, tips, start), _LOOKS):
         missing, before = np.linalg.norm(error, axis=1), length
         length = float(np.linalg.norm(error))

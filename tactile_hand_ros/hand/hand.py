@@ -99,7 +99,8 @@ class Hand:
         position_limits: Lowest and highest joint angles, two arrays of shape (m,), rad.
         bases: Where the first joint of each finger is, palm frame, shape (k, 3), m.
         spans: How far each fingertip can ever be from there, shape (k,), m.
-        finger_weight: Mean weight of a finger, N.
+        finger_mass: Mean mass of a finger, kg.
+        finger_weight: Its weight on Earth, N.
         least_force: A hundredth of a finger's weight, N: fingers that press less hold nothing.
     """
 
@@ -151,8 +152,8 @@ class Hand:
             self._model.upperPositionLimit.copy(),
         )
         self.bases, self.spans = _reaches(self._model, self._tips)
-        mass = sum(inertia.mass for inertia in self._model.inertias[1:])
-        self.finger_weight = 9.81 * mass / self.fingers
+        self.finger_mass = sum(body.mass for body in self._model.inertias[1:]) / self.fingers
+        self.finger_weight = 9.81 * self.finger_mass
         self.least_force = 0.01 * self.finger_weight
 
     @classmethod

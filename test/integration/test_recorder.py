@@ -22,9 +22,10 @@ from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64
 
-from bench.processes import CapturedProcess, private_context, start_executable
+from bench.processes import CapturedProcess, start_executable
 from tactile_hand_ros.bag.reader import read_messages, summarize
 from tactile_hand_ros.bag.recover import recover
+from tactile_hand_ros.ros.middleware import ros_context
 from tactile_hand_ros.ros.processes import wait_until
 
 DEEP = QoSProfile(depth=1000)
@@ -35,7 +36,7 @@ BOUND = 2.0  # s
 @pytest.fixture
 def node(domain: int) -> Iterator[Node]:
     """Return a node in the reserved domain."""
-    with private_context(domain) as context:
+    with ros_context(domain=domain) as context:
         node = Node("talker", context=context)
         yield node
         node.destroy_node()

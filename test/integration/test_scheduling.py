@@ -15,8 +15,9 @@ import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from support.spinning import spinning
 
-from bench.processes import CapturedProcess, isolated_domain, private_context, start_executable
+from bench.processes import CapturedProcess, isolated_domain, start_executable
 from tactile_hand_ros import names
+from tactile_hand_ros.ros.middleware import ros_context
 from tactile_hand_ros.ros.processes import executable_path, wait_until
 
 PRIORITY = 7
@@ -37,7 +38,7 @@ _TRY = f"import os; os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param({PRIO
 def reports() -> Iterator[list[DiagnosticStatus]]:
     """What the node says of itself."""
     heard: list[DiagnosticStatus] = []
-    with isolated_domain() as domain, private_context(domain) as context:
+    with isolated_domain() as domain, ros_context(domain=domain) as context:
         node = rclpy.create_node("listener", context=context)
         node.create_subscription(
             DiagnosticArray, names.DIAGNOSTICS, lambda m: heard.extend(m.status), 10

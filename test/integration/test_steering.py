@@ -13,9 +13,10 @@ from geometry_msgs.msg import PoseStamped
 from rclpy.node import Node
 from support.messages import pose_message
 
-from bench.processes import CapturedProcess, private_context, start_executable
+from bench.processes import CapturedProcess, start_executable
 from tactile_hand_ros.bag.reader import read_messages, summarize
 from tactile_hand_ros.cli.app import main
+from tactile_hand_ros.ros.middleware import ros_context
 from tactile_hand_ros.ros.processes import wait_until
 from tactile_hand_ros.run.run import Run
 from tactile_hand_ros.verify.recompute import recompute
@@ -35,7 +36,7 @@ def hand(domain: int, tmp_path: Path) -> Iterator[CapturedProcess]:
 
 def publish_once(domain: int, position: tuple[float, float, float]) -> None:
     """Publish as `ros2 topic pub --once` does: to the first subscriber, and leave soon after."""
-    with private_context(domain) as context:
+    with ros_context(domain=domain) as context:
         node = Node("once", context=context)
         publisher = node.create_publisher(PoseStamped, "desired_pose", 1)
         wait_until(lambda: publisher.get_subscription_count() >= 1, PATIENCE)

@@ -22,13 +22,14 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64
 from std_srvs.srv import SetBool, Trigger
 
-from bench.processes import CapturedProcess, private_context, start_executable
+from bench.processes import CapturedProcess, start_executable
 from support.messages import pose_message
 from support.spinning import spinning
 from tactile_hand_ros import names
 from tactile_hand_ros.config.hand_config import load_hand_config
 from tactile_hand_ros.ros import qos
 from tactile_hand_ros.ros.messages import Array, stamp_to_ns
+from tactile_hand_ros.ros.middleware import ros_context
 from tactile_hand_ros.ros.node import PUBLICATIONS, SUBSCRIPTIONS
 from tactile_hand_ros.ros.parameters import to_params_yaml
 from tactile_hand_ros.ros.processes import end_together, wait_until
@@ -106,7 +107,7 @@ class Graph:
             else:
                 for name in NODES:
                     self.start(name)
-            context = self._stack.enter_context(private_context(self._domain))
+            context = self._stack.enter_context(ros_context(domain=self._domain))
             self.node = Node("watcher", context=context, namespace=self.namespace)
             self._stack.callback(self.node.destroy_node)
             self._talk()

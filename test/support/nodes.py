@@ -11,10 +11,11 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.serialization import deserialize_message
 
-from bench.processes import isolated_domain, private_context
+from bench.processes import isolated_domain
 from tactile_hand_ros.ros import qos
 from tactile_hand_ros.ros.endpoints import subscribe_directly, taken
 from tactile_hand_ros.ros.executor import WaitSetExecutor
+from tactile_hand_ros.ros.middleware import ros_context
 from tactile_hand_ros.ros.processes import wait_until
 
 
@@ -96,7 +97,7 @@ class Process:
 @contextmanager
 def process() -> Iterator[Process]:
     """Provide a process in a ROS domain of its own."""
-    with isolated_domain() as domain, private_context(domain) as context:
+    with isolated_domain() as domain, ros_context(domain=domain) as context:
         made = Process(context)
         try:
             yield made

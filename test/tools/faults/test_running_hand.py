@@ -12,8 +12,9 @@ from rclpy.node import Node
 from std_srvs.srv import Trigger
 from support.spinning import spinning
 
-from bench.processes import isolated_domain, private_context
+from bench.processes import isolated_domain
 from studies.faults import running_hand as module
+from tactile_hand_ros.ros.middleware import ros_context
 from tactile_hand_ros.ros.processes import wait_until
 from tactile_hand_ros.scenario.scenario import load_scenario
 
@@ -28,7 +29,7 @@ def test_a_request_that_a_dead_server_took_with_it_is_sent_again(
         response.message = "back at the start"
         return response
 
-    with isolated_domain() as domain, private_context(domain) as context:
+    with isolated_domain() as domain, ros_context(domain=domain) as context:
         hand.node, server = Node("campaign", context=context), Node("plant", context=context)
         service = server.create_service(Trigger, "reset", answer)
         with ThreadPoolExecutor() as pool, spinning(hand.node):

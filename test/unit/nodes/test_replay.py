@@ -19,7 +19,7 @@ from rclpy.serialization import serialize_message
 from std_msgs.msg import Int64
 from std_srvs.srv import SetBool
 
-from bench.processes import isolated_domain, private_context
+from bench.processes import isolated_domain
 from tactile_hand_ros.bag.metadata import offered_qos
 from tactile_hand_ros.bag.reader import open_bag
 from tactile_hand_ros.bag.schema import MessageDefinition
@@ -28,6 +28,7 @@ from tactile_hand_ros.cli.app import main
 from tactile_hand_ros.errors import BagError
 from tactile_hand_ros.nodes import replay as replay_module
 from tactile_hand_ros.nodes.replay import Replay, replaying
+from tactile_hand_ros.ros.middleware import ros_context
 
 TYPE, BEGIN, STEP = "std_msgs/msg/Int64", 10**18, 10_000_000
 LATCHED = offered_qos(QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL))
@@ -71,7 +72,7 @@ class Player:
 
 @pytest.fixture
 def play(bag: Path) -> Iterator[Callable[..., Player]]:
-    with isolated_domain() as domain, private_context(domain) as context, ExitStack() as stack:
+    with isolated_domain() as domain, ros_context(domain=domain) as context, ExitStack() as stack:
         node = Node("replay", context=context, start_parameter_services=False)
         stack.callback(node.destroy_node)
         executor = SingleThreadedExecutor(context=context)
@@ -164,7 +165,7 @@ def test_time_stands_still_in_a_pause(play: Callable[..., Player]) -> None:
 
 
 def test_the_service_continues_a_replay_whose_node_then_ends(bag: Path) -> None:
-    with isolated_domain() as domain, private_context(domain) as context:
+    with isolated_domain() as domain, ros_context(domain=domain) as context:
         user = Node("user", context=context, start_parameter_services=False)
         client = user.create_client(SetBool, "/replay/pause")
 

@@ -23,12 +23,13 @@ from std_msgs.msg import String
 from support.messages import contacts_message, force_message, joint_message, pose_message
 from visualization_msgs.msg import Marker, MarkerArray
 
-from bench.processes import isolated_domain, private_context
+from bench.processes import isolated_domain
 from tactile_hand_ros import names
 from tactile_hand_ros.config.paths import config_directory
 from tactile_hand_ros.nodes import viewer
 from tactile_hand_ros.nodes.viewer import Frame, ViewerNode, contact_markers
 from tactile_hand_ros.ros.endpoints import message_class, subscribe_directly, take_latest
+from tactile_hand_ros.ros.middleware import ros_context
 from tactile_hand_ros.ros.processes import wait_until
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -140,7 +141,7 @@ class Stage:
 
 @pytest.fixture
 def stage() -> Iterator[Stage]:
-    with isolated_domain() as domain, private_context(domain) as context:
+    with isolated_domain() as domain, ros_context(domain=domain) as context:
         made = Stage(context)
         yield made
         made.viewer.destroy_node()
@@ -204,7 +205,7 @@ def test_a_best_effort_publisher_is_shown_and_wakes_nobody(stage: Stage) -> None
 
 def test_the_reliability_of_what_is_shown_can_be_overridden() -> None:
     name = "qos_overrides./grip_state.subscription.reliability"
-    with isolated_domain() as domain, private_context(domain) as context:
+    with isolated_domain() as domain, ros_context(domain=domain) as context:
         made = ViewerNode(context=context, parameter_overrides=[Parameter(name, value="reliable")])
         profiles = {each.topic_name: each.qos_profile for each in made.subscriptions}
         assert profiles["/grip_state"].reliability.name == "RELIABLE"

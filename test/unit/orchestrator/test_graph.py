@@ -10,9 +10,10 @@ from rclpy.context import Context
 from rclpy.node import Node
 from std_msgs.msg import Empty
 
-from bench.processes import isolated_domain, private_context
+from bench.processes import isolated_domain
 from tactile_hand_ros import names
 from tactile_hand_ros.orchestrator.graph import DuplicateNodeError, missing_endpoints
+from tactile_hand_ros.ros.middleware import ros_context
 from tactile_hand_ros.ros.processes import wait_until
 
 PLANT, SENSOR, RECORDER, USER = names.PLANT, names.SENSOR, names.RECORDER, names.ORCHESTRATOR
@@ -23,7 +24,7 @@ Facts = dict[str, dict[str, str]]
 
 @pytest.fixture(scope="module")
 def context() -> Iterator[Context]:
-    with isolated_domain() as domain, private_context(domain) as made:
+    with isolated_domain() as domain, ros_context(domain=domain) as made:
         yield made
 
 

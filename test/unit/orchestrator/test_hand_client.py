@@ -19,13 +19,13 @@ from std_srvs.srv import SetBool, Trigger
 from support.messages import force_message, pose_message
 from support.spinning import spinning
 
-from bench.processes import isolated_domain, private_context
+from bench.processes import isolated_domain
 from tactile_hand_ros import names
 from tactile_hand_ros.errors import ConfigurationError
 from tactile_hand_ros.orchestrator import steering as module
 from tactile_hand_ros.orchestrator.steering import HandClient, SteeringError
 from tactile_hand_ros.ros import qos
-from tactile_hand_ros.ros.middleware import graph_node
+from tactile_hand_ros.ros.middleware import graph_node, ros_context
 
 STAMP = 12_500_000_000
 NOW = Rotation.from_euler("xyz", [0.3, -0.5, 1.1])
@@ -104,7 +104,7 @@ class Hand:
 
 @pytest.fixture(scope="module")
 def context() -> Iterator[Context]:
-    with isolated_domain() as number, private_context(number) as own:
+    with isolated_domain() as number, ros_context(domain=number) as own:
         yield own
 
 

@@ -19,9 +19,10 @@ from rclpy.serialization import serialize_message
 from std_msgs.msg import Float64, Int8
 from std_srvs.srv import Trigger
 
-from bench.processes import CapturedProcess, isolated_domain, private_context
+from bench.processes import CapturedProcess, isolated_domain
 from tactile_hand_ros.ros.endpoints import subscribe_directly
 from tactile_hand_ros.ros.executor import WaitSetExecutor, spin
+from tactile_hand_ros.ros.middleware import ros_context
 from tactile_hand_ros.ros.processes import wait_until
 from tactile_hand_ros.ros.qos import user_qos
 
@@ -42,7 +43,7 @@ class Survivor(Node):
 
 @pytest.fixture
 def nodes() -> Iterator[list[Any]]:
-    with isolated_domain() as domain, private_context(domain) as context:
+    with isolated_domain() as domain, ros_context(domain=domain) as context:
         made: list[Any] = [Survivor("a", context), Survivor("b", context)]
         made.append(Node("plain", context=context, start_parameter_services=False))
         yield made

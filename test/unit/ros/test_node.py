@@ -20,7 +20,7 @@ from std_msgs.msg import Float64
 from std_srvs.srv import SetBool, Trigger
 from support.nodes import Process, counts, facts
 
-from bench.processes import isolated_domain, private_context
+from bench.processes import isolated_domain
 from tactile_hand_ros import names
 from tactile_hand_ros.config.model import Config, param
 from tactile_hand_ros.errors import MessageError, TactileHandError, UnsafeOutputError
@@ -28,6 +28,7 @@ from tactile_hand_ros.ros import qos
 from tactile_hand_ros.ros.diagnostics import ERROR, OK, WARN
 from tactile_hand_ros.ros.endpoints import described, location, refusal, subscribe_directly
 from tactile_hand_ros.ros.messages import checked_number
+from tactile_hand_ros.ros.middleware import ros_context
 from tactile_hand_ros.ros.node import TactileNode
 
 HERE = Path(__file__).name
@@ -260,7 +261,7 @@ def test_a_sensor_subscription_may_be_made_best_effort() -> None:
     override = "qos_overrides./left/x.subscription.reliability:=best_effort"
     with (
         isolated_domain() as domain,
-        private_context(domain, ["--ros-args", "-p", override]) as context,
+        ros_context(["--ros-args", "-p", override], domain) as context,
     ):
         here = Process(context)
         node = Example(context=context)

@@ -14,9 +14,10 @@ import rclpy
 import yaml
 from rclpy.parameter import Parameter
 
-from bench.processes import isolated_domain, private_context
+from bench.processes import isolated_domain
 from tactile_hand_ros.config.model import Config, leaves, param
 from tactile_hand_ros.errors import ConfigurationError
+from tactile_hand_ros.ros.middleware import ros_context
 from tactile_hand_ros.ros.parameters import (
     ConfigParameters,
     descriptor,
@@ -131,7 +132,7 @@ def declare(domain, monkeypatch):
 
     def start(*arguments, on_change=lambda _: None, namespace="left"):
         monkeypatch.setattr(sys, "argv", ["plant", "--ros-args", *arguments])
-        context = private_context(domain, ["--ros-args", *arguments])
+        context = ros_context(["--ros-args", *arguments], domain)
         node = rclpy.create_node("plant", namespace=namespace, context=context.__enter__())
         opened.append((context, node))
         return node, ConfigParameters(node, Example, on_change)

@@ -13,7 +13,8 @@ import pytest
 import rclpy
 from std_msgs.msg import Float64
 
-from bench.processes import CapturedProcess, isolated_domain, private_context
+from bench.processes import CapturedProcess, isolated_domain
+from tactile_hand_ros.ros.middleware import ros_context
 from tactile_hand_ros.ros.processes import (
     ExecutableError,
     end_together,
@@ -50,7 +51,7 @@ def test_domains_are_never_shared_and_the_environment_is_restored() -> None:
 
 def test_nodes_of_two_domains_do_not_meet_and_listen_on_the_loopback_address_only() -> None:
     with isolated_domain() as one, isolated_domain() as two:
-        with private_context(one) as here, private_context(two) as there:
+        with ros_context(domain=one) as here, ros_context(domain=two) as there:
             node = rclpy.create_node("a", context=here)
             friend = rclpy.create_node("b", context=here)
             stranger = rclpy.create_node("c", context=there)

@@ -23,13 +23,14 @@ from rosbags.rosbag2 import Reader
 from std_msgs.msg import Int64
 
 import tactile_hand_ros
-from bench.processes import isolated_domain, private_context
+from bench.processes import isolated_domain
 from tactile_hand_ros.bag.reader import read_messages, summarize
 from tactile_hand_ros.errors import BagError
 from tactile_hand_ros.nodes.recorder import node as recorder_module
 from tactile_hand_ros.nodes.recorder import writer_process
 from tactile_hand_ros.nodes.recorder.node import RecorderNode
 from tactile_hand_ros.ros.diagnostics import ERROR, WARN
+from tactile_hand_ros.ros.middleware import ros_context
 from tactile_hand_ros.ros.node import TickPublisher
 from tactile_hand_ros.ros.processes import wait_until
 
@@ -91,8 +92,8 @@ class Stage:
 def stage(tmp_path: Path) -> Iterator[Stage]:
     with (
         isolated_domain() as domain,
-        private_context(domain) as here,
-        private_context(domain) as there,
+        ros_context(domain=domain) as here,
+        ros_context(domain=domain) as there,
     ):
         made = Stage(here, there, tmp_path / "bag")
         yield made

@@ -18,12 +18,13 @@ from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPo
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 from std_msgs.msg import Float64, Int64
 
-from bench.processes import isolated_domain, private_context
+from bench.processes import isolated_domain
 from tactile_hand_ros import names
 from tactile_hand_ros.errors import BagError
 from tactile_hand_ros.nodes.recorder import topic as topic_module
 from tactile_hand_ros.nodes.recorder.topic import RawTopic, SequenceTracker, adapted_qos
 from tactile_hand_ros.ros.endpoints import message_class
+from tactile_hand_ros.ros.middleware import ros_context
 from tactile_hand_ros.ros.processes import wait_until
 
 NAME, TYPE = "/number", "std_msgs/msg/Int64"
@@ -110,8 +111,8 @@ def stage(monkeypatch: pytest.MonkeyPatch) -> Iterator[Stage]:
     monkeypatch.setattr(topic_module, "_DISCOVERY", 0.0)
     with (
         isolated_domain() as domain,
-        private_context(domain) as here,
-        private_context(domain) as there,
+        ros_context(domain=domain) as here,
+        ros_context(domain=domain) as there,
     ):
         nodes = Node("listener", context=here), Node("talker", context=there)
         yield Stage(*nodes)
