@@ -221,11 +221,17 @@ def _derive_holds(data: dict[str, Any]) -> None:
 
 
 def _touch_latency(data: dict[str, Any]) -> float:
-    """Return the largest age of forces: what the controller assumes, and the skin's own latency."""
-    sensor, late = data["tactile_sensor"], ControllerConfig.model_fields["touch_latency"].default
-    own = sensor.get("latency", 0.0) if isinstance(sensor, dict) else 0.0
-    is_number = isinstance(own, int | float) and 0.0 <= own <= 0.5 - late
-    return float(late + own) if is_number else float(late)
+    """Return the largest age of forces: latency and time between samples of the skin.
+
+    That time is at least what the controller assumes.
+    """
+    sensor, late = data["tactile_sensor"], float(ControllerConfig().touch_latency)
+    try:
+        own, rate = (float(sensor.get(name, 0.0)) for name in ("latency", "rate"))
+    except (AttributeError, TypeError, ValueError):
+        return late  # which the validation of the scenario will name
+    apart = 1.0 / rate if rate > 0.0 else 0.0
+    return min(max(late, apart) + max(own, 0.0), 0.5)  # the largest that the controller takes
 
 
 def plain(scenario: Scenario) -> dict[str, Any]:
