@@ -94,22 +94,26 @@ class GraspMonitor:
         self._first = None
 
     def margins(self, theta: Array, contacts: Contacts) -> GraspMargins:
-        """Return the margins of a posture.
+        """Return the margins of a posture, of the fingers that touch.
 
         Args:
             theta: Joint angles, shape (m,), rad.
             contacts: Contacts by touch.
         """
-        if not contacts.all_touching:
+        if not contacts.enough_touching:
             self._first = None
             return UNKNOWN_MARGINS
-        tips = self._hand.fingertips(theta)
+        touching = contacts.touching
+        hand, contacts = self._hand.part(touching), contacts.part(touching)
+        tips = hand.fingertips(theta)
         joint = joint_margin(hand_jacobian(tips, contacts.positions, contacts.rotations))
-        seen = local_normals(contacts.normals, self._hand.tip_rotations(theta))
-        if self._first is None:
-            self._first = seen
+        seen = local_normals(contacts.normals, hand.tip_rotations(theta))
+        first = np.full((len(touching), 3), np.nan) if self._first is None else self._first
+        self._first = np.where(touching[:, None], first, np.nan)
+        new = np.isnan(self._first[:, 0]) & touching
+        self._first[new] = seen[new[touching]]
         return GraspMargins(
-            face_travel=float((self._hand.radii * angles_between(seen, self._first)).max()),
+            face_travel=float((hand.radii * angles_between(seen, self._first[touching])).max()),
             hemisphere=float(0.5 * np.pi - angles_between(seen, TIP).max()),
             joint=joint,
             collinearity=collinearity_margin(contacts.positions),

@@ -4,6 +4,7 @@
 import numpy as np
 import pytest
 from support.equations import hand_jacobian
+from support.hands import write_hand
 from support.plants import plant
 
 from tactile_hand_ros.config.hand_config import load_hand_config
@@ -124,6 +125,23 @@ def test_travel_counts_from_the_first_contacts_until_one_is_lost(grasp):
     lost = watch.margins(bent, Contacts(gone, contacts.rotations))
     assert lost.collinearity == 0.0 and np.isnan(lost.hemisphere)
     assert watch.margins(bent, contacts).face_travel == 0.0
+
+
+def test_of_four_fingers_three_are_watched_while_one_is_missing(tmp_path):
+    hand = Hand.load(str(write_hand(tmp_path, [3, 4, 3, 3])))
+    theta, axis = 0.5 + 0.03 * np.arange(hand.joints), np.array([1.0, 0.0, 0.0])
+    frames = np.array([contact_frame(tip @ axis) for tip in hand.tip_rotations(theta)])
+    points = hand.tip_positions(theta) + hand.radii[:, None] * frames[:, :, 1]
+    parted = points.copy()
+    parted[1] = np.nan
+    bent, touching = theta + 0.05 * np.sin(np.arange(hand.joints)), np.isfinite(parted[:, 0])
+    watch, others = GraspMonitor(hand), GraspMonitor(hand.part(touching))
+    watch.margins(theta, Contacts(points, frames))
+    others.margins(theta, Contacts(parted, frames).part(touching))
+    apart = watch.margins(bent, Contacts(parted, frames))
+    assert apart == others.margins(bent, Contacts(parted, frames).part(touching))
+    # Back again, its own way starts here; those of the others go on.
+    assert watch.margins(bent, Contacts(points, frames)).face_travel == apart.face_travel > 0.0
 
 
 def test_distance_to_the_cones():
