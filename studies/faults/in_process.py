@@ -28,6 +28,7 @@ from tactile_hand_ros.control.command_guard import TorqueCommand
 from tactile_hand_ros.control.contact import Contacts
 from tactile_hand_ros.control.controller import Command, Controller, Mode
 from tactile_hand_ros.control.laws import Target
+from tactile_hand_ros.control.loads import CarriedLoad
 from tactile_hand_ros.control.slip.regulator import SlipRegulator
 from tactile_hand_ros.errors import DivergedError, TactileHandError
 from tactile_hand_ros.scenario.scenario import Scenario
@@ -113,10 +114,12 @@ class _Regulator(_Block):
 
 
 class _Optimizer(_Block):
-    def step(self, stamp: int, contacts: Contacts | None, friction: Array, forces: Any) -> Any:
+    def step(
+        self, stamp: int, contacts: Contacts | None, carried: CarriedLoad, grasp_force: float | None
+    ) -> Any:
         shape = None
-        if contacts is not None:
-            shape = self.block.step(stamp, contacts, friction, forces).forces
+        if contacts is not None and grasp_force is not None:
+            shape = self.block.step(stamp, contacts, carried, grasp_force).forces
         return SimpleNamespace(forces=self._carry("shape", shape, _swapped))
 
 

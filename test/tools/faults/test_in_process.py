@@ -24,6 +24,7 @@ def test_a_run_is_the_same_again():
         ("lifting", "skin of all fingers", "garbage"),
         ("pulled", "optimizer", "delayed"),
         ("heavy", "joint link", "clock step"),
+        ("human, at rest", "regulator", "off"),
     ],
 )
 def test_a_part_that_fails_costs_no_object(situation, component, fault):
