@@ -26,7 +26,8 @@ while not command.get_subscription_count():  # a message without a subscriber is
 pose = PoseStamped()
 pose.header.frame_id = "palm"
 pose.pose.position.x, pose.pose.position.y, pose.pose.position.z = TARGET
-pose.pose.orientation.x = math.nan  # keep the orientation of the grasp
+turn = pose.pose.orientation
+turn.x = turn.y = turn.z = turn.w = math.nan  # keep the orientation of the grasp
 command.publish(pose)
 while math.dist(grasp, TARGET) > 1e-4:
     rclpy.spin_once(node)
