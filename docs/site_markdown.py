@@ -2,7 +2,8 @@
 """What the site adds to Markdown: formulas as MathML, and pages that are generated from the code.
 
 Browsers draw MathML without a script; ``pymdownx.arithmatex`` in generic mode finds the formulas.
-A line ``[commands]`` becomes the help of all commands, a line ``[api]`` the public names.
+A line ``[commands]`` becomes the help of all commands, ``[api]`` the public names, and
+``[notebook NAME]`` what that notebook shows when it is executed.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ import html
 import re
 import subprocess
 import sys
+from pathlib import Path
 from typing import Any
 
 from latex2mathml.converter import convert
@@ -21,6 +23,8 @@ from markdown.preprocessors import Preprocessor
 import tactile_hand_ros
 
 _FORMULA = re.compile(r'<(span|div) class="arithmatex">\\([(\[])(.*?)\\[)\]]</\1>', re.S)
+_NOTEBOOK = re.compile(r"\[notebook (\S+)\]")
+_DOCS = Path(__file__).resolve().parent
 _AFTER_RAW_HTML, _BEFORE_FENCES = 10, 29
 
 
@@ -37,17 +41,29 @@ def _mathml(found: re.Match[str]) -> str:
 
 class _Generated(Preprocessor):
     def run(self, lines: list[str]) -> list[str]:
-        generators = {"[commands]": _commands, "[api]": _api}
-        found = [generators[line]() if line in generators else [line] for line in lines]
-        return [line for part in found for line in part]
+        return [made for line in lines for made in _generated(line)]
+
+
+def _generated(line: str) -> list[str]:
+    if line == "[commands]":
+        return _commands()
+    if line == "[api]":
+        return _api()
+    if named := _NOTEBOOK.fullmatch(line):
+        [notebook] = _DOCS.rglob(named.group(1))
+        return _printed(str(_DOCS / "notebook.py"), str(notebook))
+    return [line]
+
+
+def _printed(*words: str) -> list[str]:
+    """Run Python with these arguments and return the lines that it prints."""
+    done = subprocess.run([sys.executable, *words], check=True, stdout=subprocess.PIPE, text=True)
+    return done.stdout.splitlines()
 
 
 def _commands() -> list[str]:
-    command = [sys.executable, "-m", "typer", "tactile_hand_ros.cli.app", "utils", "docs"]
-    text = subprocess.run(
-        [*command, "--name", "tactile-hand"], check=True, capture_output=True, text=True
-    ).stdout
-    return text.splitlines()[1:]  # the page has its own title
+    words = ("typer", "tactile_hand_ros.cli.app", "utils", "docs", "--name", "tactile-hand")
+    return _printed("-m", *words)[1:]  # the page has its own title
 
 
 def _api() -> list[str]:
