@@ -37,7 +37,7 @@ unexport VIRTUAL_ENV
 
 # Everything that ends up in the installed package.
 INSTALLED := setup.py setup.cfg package.xml pyproject.toml \
-	$(shell find tactile_hand_ros config scripts resource -type f ! -path '*/__pycache__/*' 2>/dev/null | LC_ALL=C sort)
+	$(shell find tactile_hand_ros config launch scripts resource -type f ! -path '*/__pycache__/*' 2>/dev/null | LC_ALL=C sort)
 
 .PHONY: help demo run test lint bench study docs docs-figures mutate lock audit setup clean FORCE
 .DELETE_ON_ERROR:

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from tactile_hand_ros.simulation.skin import TactileSensor
     from tactile_hand_ros.verify.recompute import recompute
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
 __all__ = [
     "ClosedLoop",

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The two installations: pip into a virtual environment, colcon into a workspace."""
+"""The installations: pip into a virtual environment, colcon into a workspace; and the sdist."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import os
 import shutil
 import subprocess
 import sys
+import tarfile
 from pathlib import Path
 
 import pytest
@@ -29,8 +30,8 @@ EXECUTABLES = [
     "viewer",
 ]
 # What an installation is made of, and nothing that a developer may have lying about.
-SOURCES = ("config", "resource", "scripts", PACKAGE)
-FILES = ("package.xml", "setup.py", "setup.cfg", "pyproject.toml", "LICENSE")
+SOURCES = ("config", "launch", "resource", "scripts", PACKAGE)
+FILES = ("package.xml", "setup.py", "setup.cfg", "pyproject.toml", "LICENSE", "NOTICE", "README.md")
 # The ROS wheels re-execute an interpreter once and say so here; no other installation may see it.
 LEAKING = ("_ROS_WHEELS_BOOTSTRAP_COMPLETE", "LD_LIBRARY_PATH", "PYTHONPATH", "AMENT_PREFIX_PATH")
 # Resolves all imports of scripts, but does not start them; test_loading starts each for itself.
@@ -52,6 +53,16 @@ def run(*command: str | Path, cwd: Path, **variables: str) -> str:
     )
     assert done.returncode == 0, done.stdout
     return done.stdout
+
+
+def copy_sources(target: Path) -> Path:
+    """Copy what an installation is made of to a new folder and return it."""
+    ignored = shutil.ignore_patterns("__pycache__", "*.pyc")
+    for folder in SOURCES:
+        shutil.copytree(ROOT / folder, target / folder, ignore=ignored)
+    for file in FILES:
+        shutil.copy(ROOT / file, target / file)
+    return target
 
 
 def installed_config(share: Path) -> list[Path]:
@@ -80,6 +91,10 @@ class TestPip:
     def test_config_is_installed_recursively(self) -> None:
         share = Path(get_package_share_directory(PACKAGE))
         assert installed_config(share) == source_config()
+
+    def test_a_launch_file_is_installed(self) -> None:
+        share = Path(get_package_share_directory(PACKAGE))
+        assert (share / "launch" / "tactile_hand.launch.py").is_file()
 
     def test_executables_are_those_of_the_contract(self) -> None:
         assert executables.executable_names() == EXECUTABLES
@@ -110,17 +125,21 @@ class TestPip:
         assert Path(str(shutil.which("python3", path=path))).parent == Path(sys.prefix) / "bin"
 
 
+def test_a_source_distribution_has_all_files(tmp_path: Path) -> None:
+    """`python -m build` makes the wheel from it."""
+    tree = copy_sources(tmp_path / "tree")
+    wanted = {str(path.relative_to(tree)) for path in tree.rglob("*") if path.is_file()}
+    run(sys.executable, "setup.py", "--quiet", "sdist", "--dist-dir", tmp_path, cwd=tree)
+    [archive] = tmp_path.glob("*.tar.gz")
+    with tarfile.open(archive) as opened:
+        assert wanted <= {name.partition("/")[2] for name in opened.getnames()}
+
+
 @pytest.fixture(scope="module")
 def workspace(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Build a clean copy of the tree with colcon."""
     workspace = tmp_path_factory.mktemp("workspace")
-    source = workspace / "src" / PACKAGE
-    source.mkdir(parents=True)
-    ignored = shutil.ignore_patterns("__pycache__", "*.pyc")
-    for folder in SOURCES:
-        shutil.copytree(ROOT / folder, source / folder, ignore=ignored)
-    for file in FILES:
-        shutil.copy(ROOT / file, source / file)
+    copy_sources(workspace / "src" / PACKAGE)
     run("colcon", "build", cwd=workspace)
     return workspace
 
