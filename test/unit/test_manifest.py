@@ -10,6 +10,7 @@ from importlib.metadata import requires, version
 from pathlib import Path
 
 import pytest
+import yaml
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
@@ -55,6 +56,13 @@ def test_versions_agree() -> None:
     stated = MANIFEST.findtext("version")
     assert version("tactile_hand_ros") == stated
     assert tactile_hand_ros.__version__ == stated
+    assert yaml.safe_load((ROOT / "CITATION.cff").read_text())["version"] == stated
+
+
+def test_the_hosted_workflow_runs_make_test_and_nothing_else() -> None:
+    workflow = yaml.safe_load((ROOT / ".github/workflows/ci.yml").read_text())
+    [job] = workflow["jobs"].values()
+    assert [step["run"] for step in job["steps"] if "run" in step] == ["make test"]
 
 
 def test_everything_required_reaches_a_ros_workspace() -> None:
