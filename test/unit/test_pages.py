@@ -270,6 +270,8 @@ def test_the_site_builds_without_warnings_and_needs_no_network(tmp_path: Path) -
         assert not re.search(r"<(?:script|link|img)[^>]*(?:src|href)=.?https?:", text), name
     assert "<math" in pages["overview"] and "front_door.simulate" in pages["api"]
     assert "tactile-hand run" in pages["commands"]
+    # The notebook was executed.
+    assert pages["paper"].count("data:image/png") == 5 and "object dropped" in pages["paper"]
 
 
 def commands() -> list[tuple[str, str]]:
