@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Annotated
 
 try:
@@ -22,13 +22,37 @@ from tactile_hand_ros.orchestrator import command as orchestrator
 
 PROGRAM = "tactile-hand"
 
+EXAMPLES = {
+    "run": "run human_pull --set slip_regulator.mode=user --open",
+    "grasp": "grasp --namespace /left",
+    "release": "release --namespace /left",
+    "reset": "reset --namespace /left",
+    "scenarios": "scenarios",
+    "show": "show human_pull",
+    "sweep": 'sweep paper --over "calibration.link_lengths=0.9..1.1"',
+    "reproduce": "reproduce --layout pinch",
+    "report": "report runs/latest --out .",
+    "summary": "summary runs/latest",
+    "recover": "recover runs/latest",
+    "replay": "replay runs/latest --rate 2 --start-offset 3",
+    "move": "move 0.0 0.0436 0.4118 --rotation 0 0 -3",
+    "squeeze": "squeeze 12",
+}
+
 app = typer.Typer(
     name=PROGRAM,
-    help="Hold and turn an unknown object with a tactile prosthetic hand.",
+    help="Tactile in-hand manipulation: run, steer, record and study a hand.",
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     rich_markup_mode=None,  # it would read units such as [s] as markup and drop them
 )
+
+
+def _example(command: Callable[..., None]) -> str | None:
+    """Return what stands below the help of a command."""
+    example = EXAMPLES.get(command.__name__)
+    return example and f"Example: {PROGRAM} {example}"
+
 
 for _command in (
     orchestrator.run,
@@ -36,10 +60,11 @@ for _command in (
     *experiments.COMMANDS,
     *runs.COMMANDS,
 ):
-    app.command()(_command)
+    app.command(epilog=_example(_command))(_command)
 # An unknown option may be a negative number.
-app.command(context_settings={"ignore_unknown_options": True})(steer.move)
-app.command(context_settings={"ignore_unknown_options": True})(steer.squeeze)
+_NEGATIVE = {"ignore_unknown_options": True}
+app.command(epilog=_example(steer.move), context_settings=_NEGATIVE)(steer.move)
+app.command(epilog=_example(steer.squeeze), context_settings=_NEGATIVE)(steer.squeeze)
 
 
 def _print_version(wanted: bool) -> None:
@@ -59,7 +84,7 @@ def tactile_hand(
         ),
     ] = False,
 ) -> None:
-    """Hold and turn an unknown object with a tactile prosthetic hand."""
+    """Tactile in-hand manipulation: run, steer, record and study a hand."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

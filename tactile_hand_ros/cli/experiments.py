@@ -76,9 +76,9 @@ class SweepOptions:
 
 @with_options
 def sweep(options: SweepOptions) -> None:
-    """Run a scenario over ranges of its parameters; table, summary and figure.
+    """Map how the outcome of a scenario depends on its parameters.
 
-    After an interruption the same command continues.
+    Writes a table, a summary and a figure. After an interruption the same command continues.
     """
     from tactile_hand_ros.config.plain_yaml import parse_changes
     from tactile_hand_ros.report.style import save
@@ -120,11 +120,12 @@ def reproduce(
         list[str] | None, typer.Option(help="Layout of the fingers; may be repeated.")
     ] = None,
     duration: Annotated[
-        float | None, typer.Option(help="Simulated time in s instead of the paper's 10 s.")
+        float | None,
+        typer.Option(metavar="SECONDS", help="Simulated time [s], instead of the paper's 10 s."),
     ] = None,
     jobs: JobsOption = -1,
 ) -> None:
-    """Draw the paper's figures and print its claims next to what was measured."""
+    """Draw the paper's figures and judge its claims."""
     from tactile_hand_ros.reproduce import reproduce as r
     from tactile_hand_ros.reproduce.claims import EXPERIMENTS, LAYOUTS
     from tactile_hand_ros.sweep.engine import workers

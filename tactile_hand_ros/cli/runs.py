@@ -65,7 +65,7 @@ def report(
     out: Annotated[Path | None, typer.Option(help="Folder; by default that of the run.")] = None,
     namespace: NamespaceOption = None,
 ) -> None:
-    """Write a run as one page, report.html: 3D playback, plots, metrics, assumptions."""
+    """Write report.html of a run: 3D playback, plots, metrics."""
     from tactile_hand_ros.report.page import write_report
 
     if out is not None:
@@ -102,7 +102,7 @@ def summary(
     namespace: NamespaceOption = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
 ) -> None:
-    """Print what a recorded run achieved, and whether its recording is complete."""
+    """Print what a run achieved, and whether its bag is complete."""
     opened = _open(run, namespace)
     if opened.assumptions_problem:
         print(f"note: {opened.assumptions_problem}", file=sys.stderr)
@@ -145,9 +145,12 @@ class ReplayRequest:
     """The options of `tactile-hand replay`."""
 
     bag: BagArgument = Path("runs/latest")
-    rate: Annotated[float, typer.Option(help="Times the original speed.")] = 1.0
+    rate: Annotated[float, typer.Option(metavar="FACTOR", help="Times the original speed.")] = 1.0
     start_offset: Annotated[
-        float, typer.Option(min=0.0, help="Where to start [s after the first message].")
+        float,
+        typer.Option(
+            min=0.0, metavar="SECONDS", help="Where to start [s after the first message]."
+        ),
     ] = 0.0
     topics: Annotated[
         list[str],

@@ -16,16 +16,22 @@ if TYPE_CHECKING:
 
 NamespaceOption = Annotated[str, typer.Option(help="Namespace of the hand, as /left.")]
 TimeoutOption = Annotated[
-    float, typer.Option(min=0.1, help="Longest wait for the hand and for its answer [s].")
+    float,
+    typer.Option(
+        min=0.1, metavar="SECONDS", help="Longest wait for the hand and for its answer [s]."
+    ),
 ]
 
 _TIMEOUT = 5.0
 
 
 def move(
-    x: Annotated[float, typer.Argument(help="p_d of the contact centroid, palm frame [m].")],
-    y: Annotated[float, typer.Argument(help="The same.")],
-    z: Annotated[float, typer.Argument(help="The same.")],
+    x: Annotated[
+        float,
+        typer.Argument(metavar="X", help="x of the contact centroid's target, palm frame [m]."),
+    ],
+    y: Annotated[float, typer.Argument(metavar="Y", help="Its y [m].")],
+    z: Annotated[float, typer.Argument(metavar="Z", help="Its z [m].")],
     rotation: Annotated[
         tuple[float, float, float] | None,
         typer.Option(
@@ -36,9 +42,10 @@ def move(
     namespace: NamespaceOption = "",
     timeout: TimeoutOption = _TIMEOUT,
 ) -> None:
-    """Move the object in a running hand; without --rotation it keeps its orientation.
+    """Move the object in a running hand.
 
-    Exit code 0: the hand accepts the pose; 2: it refuses, or there is no hand.
+    Without --rotation it keeps its orientation. Exit code 0: the hand accepts the pose; 2: it
+    refuses, or there is no hand.
     """
     turn = None if rotation is None else [math.radians(v) for v in rotation]
     with _hand(namespace, timeout) as hand:
@@ -51,13 +58,14 @@ def move(
 
 
 def squeeze(
-    force: Annotated[float, typer.Argument(help="k_f [N].")],
+    force: Annotated[float, typer.Argument(metavar="NEWTONS", help="k_f [N].")],
     namespace: NamespaceOption = "",
     timeout: TimeoutOption = _TIMEOUT,
 ) -> None:
-    """Request a grasp force; with slip_regulator.mode auto the regulator chooses its own.
+    """Request a grasp force from a running hand.
 
-    Exit code 0: the hand accepts it; 2: it refuses, or there is no hand.
+    With slip_regulator.mode auto the regulator chooses its own. Exit code 0: the hand accepts it;
+    2: it refuses, or there is no hand.
     """
     with _hand(namespace, timeout) as hand:
         since = hand.grasp_force(force)
@@ -65,19 +73,22 @@ def squeeze(
 
 
 def grasp(namespace: NamespaceOption = "", timeout: TimeoutOption = _TIMEOUT) -> None:
-    """Close the fingers of a running hand until all touch, and hold what they touch."""
+    """Close the fingers of a running hand until all touch."""
     with _hand(namespace, timeout) as hand:
         print(hand.grasp(True))
 
 
 def release(namespace: NamespaceOption = "", timeout: TimeoutOption = _TIMEOUT) -> None:
-    """Open the fingers of a running hand: an object without support falls."""
+    """Open the fingers of a running hand; the object may fall."""
     with _hand(namespace, timeout) as hand:
         print(hand.grasp(False))
 
 
 def reset(namespace: NamespaceOption = "", timeout: TimeoutOption = _TIMEOUT) -> None:
-    """Put a running simulation back to its start; a real hand forgets grasp and targets."""
+    """Return a running simulation to its start.
+
+    A real hand forgets its grasp and its targets.
+    """
     with _hand(namespace, timeout) as hand:
         print(hand.reset())
 

@@ -23,7 +23,9 @@ app = typer.Typer(add_completion=False, pretty_exceptions_enable=False, rich_mar
 @app.command()
 @with_options
 def run(context: typer.Context, options: RunOptions) -> None:
-    """Run a scenario: start the nodes, record them, command the poses, summarize.
+    """Run a scenario and judge whether its goal is reached.
+
+    Starts the nodes, commands the targets, records a bag and writes a report.
 
     Exit code 0: the goal was reached and the bag is complete; 1: it was not, or something failed;
     2: the scenario was refused and nothing was started; 3: the object was dropped; 130, 143: ended

@@ -38,7 +38,8 @@ class RunOptions:
         bool, typer.Option("--interactive", help="Keep the hand alive until Ctrl-C.")
     ] = False
     duration: Annotated[
-        float | None, typer.Option(help="Simulated time [s], instead of the scenario's.")
+        float | None,
+        typer.Option(metavar="SECONDS", help="Simulated time [s], instead of the scenario's."),
     ] = None
     pacing: Annotated[
         str | None, typer.Option(help="lockstep or realtime, instead of the scenario's.")
@@ -64,7 +65,8 @@ class RunOptions:
     ] = None
     namespace: Annotated[str, typer.Option(help="Namespace of all nodes, as /left.")] = ""
     startup_timeout: Annotated[
-        float, typer.Option(min=0.1, help="Longest wait for all nodes [s].")
+        float,
+        typer.Option(min=0.1, metavar="SECONDS", help="Longest wait for all nodes [s]."),
     ] = 30.0
     priority: Annotated[
         int, typer.Option(help="Priority of the nodes under SCHED_FIFO, 1 to 99; 0 for none.")

@@ -21,7 +21,7 @@ import pytest
 import typer
 from support.recorded import write_record
 
-from tactile_hand_ros.cli.app import app
+from tactile_hand_ros.cli.app import EXAMPLES, app
 from tactile_hand_ros.cli.app import main as tactile_hand
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
 from tactile_hand_ros.closed_loop.record import Record
@@ -275,8 +275,8 @@ def test_the_site_builds_without_warnings_and_needs_no_network(tmp_path: Path) -
 
 
 def commands() -> list[tuple[str, str]]:
-    """Return each `tactile-hand ...` in the texts, with the page."""
-    found = []
+    """Return each `tactile-hand ...` in the texts and in the help, with the page."""
+    found = [("--help", example) for example in EXAMPLES.values()]
     for path in TEXTS:
         for line in re.findall(r"tactile-hand ([a-z][^`\n|)]*)", path.read_text("utf-8")):
             found.append((path.name, line.split("#")[0].strip()))
