@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The last line of defence: what torque reaches the joints, judged where torque meets the joints.
+"""The last line of defense: what torque reaches the joints, judged where torque meets the joints.
 
 It runs in the plant and belongs into the driver of a real hand. It knows joint states, commands and
 the model of the hand, nothing else, and reads no clock: time is in the stamps.
@@ -205,13 +205,13 @@ class CommandGuard:
             self._blend_start = stamp - self._step
         elif before is State.HOLD:
             reason = UNSTEADY
-        if self.state is State.BLEND and self._share(stamp) >= 1.0:
+        if self.state is State.BLEND and self._blended(stamp) >= 1.0:
             self.state = State.ACT
         if not reason:
             self.reason = ""
         return reason
 
-    def _share(self, stamp: int) -> float:
+    def _blended(self, stamp: int) -> float:
         """Return how far commands have taken over at a tick in ns, up to 1."""
         return min(1.0, 1e-9 * (stamp - self._blend_start) / self._config.blend_time)
 
@@ -260,11 +260,11 @@ class CommandGuard:
         if not self._past:
             return False
         jump = np.abs(torque - self._past[-1].torque).max()
-        if jump < self._hand.least_force * self._hand.spans.min():
+        if jump < self._hand.minimum_force * self._hand.spans.min():
             return False
         terms = JointTerms(*self._hand.dynamics(theta, rates))
         _, presses = split_forces(tip_forces(terms.tips, self._pressed(stamp, rates, terms)))
-        if np.linalg.norm(presses, axis=1).sum() < self._hand.least_force:
+        if np.linalg.norm(presses, axis=1).sum() < self._hand.minimum_force:
             return False
         _, wanted = split_forces(tip_forces(terms.tips, torque - terms.bias))
         return bool(np.vdot(wanted, presses) < -_PULL * np.vdot(presses, presses))
@@ -300,7 +300,7 @@ class CommandGuard:
         torque = self._hold.step(seen, terms, follows=bool(reason))
         if not reason:
             assert command is not None
-            torque = torque + self._share(stamp) * (self._limited(command.torque) - torque)
+            torque = torque + self._blended(stamp) * (self._limited(command.torque) - torque)
         limit = self._hand.effort_limits
         return np.asarray(np.minimum(np.maximum(torque, -limit), limit))
 

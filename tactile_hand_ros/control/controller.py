@@ -235,7 +235,7 @@ class Controller:
         self._last_torque: Array | None = None  # of the law, one tick ago
         self._last_stamp: int | None = None
         self._period = _LONGEST_PERIOD  # of the ticks, s
-        self._trust()
+        self._accept_inputs()
 
     def _hold_with(self, touching: NDArray[np.bool_]) -> None:
         """Let fingers hold from now on, by a mask of shape (k,)."""
@@ -248,10 +248,10 @@ class Controller:
         # Bandwidth that a hold needs per root of k_f, and that it has, rad/s.
         self._required: tuple[float, float] | None = None
 
-    def _trust(self) -> None:
+    def _accept_inputs(self) -> None:
         """Forget all doubts."""
         self.touch_rejected = False
-        self._doubted: int | None = None  # first tick of those with an implausible input
+        self._implausible_since: int | None = None  # first tick of those with an implausible input
 
     def _enter(self, mode: Mode, theta: Array) -> None:
         """Change the state; a hold keeps the posture in which it begins, shape (m,), rad."""
@@ -262,7 +262,7 @@ class Controller:
             self._reference.reset()
             self._posture = theta.copy()
         if mode in (Mode.OPEN, Mode.DISABLED):
-            self._trust()
+            self._accept_inputs()
             self._held = self._nothing
 
     @property
@@ -299,9 +299,9 @@ class Controller:
         return self._targets.dropped
 
     def command(self, target: Target, stamp: int = 0) -> None:
-        """Take a desired pose; where `MOST_WAITING` wait already, the earliest is dropped.
+        """Take a desired pose; where `MAX_WAITING` wait already, the earliest is dropped.
 
-        A pose that cannot be reached is refused here, or, after `MOST_CHECKED` poses in one tick,
+        A pose that cannot be reached is refused here, or, after `MAX_CHECKED` poses in one tick,
         when it is due.
 
         Args:
@@ -375,7 +375,7 @@ class Controller:
         """
         dt = self._elapsed(stamp)
         rates = self._rates.step(stamp, theta, rates, self.config.hold.resolution)
-        self._targets.begin_tick()
+        self._targets.start_tick()
         if not self.enabled:
             return self._disabled(theta, rates)
         if self._regrasp.active:
@@ -384,7 +384,7 @@ class Controller:
             dt = 0.0  # a new grasp has no past
         problem = self._missing(contacts, optimal_forces, grasp_force)
         if problem:
-            self._inputs.begin_grasp()
+            self._inputs.start_grasp()
             return self._holding(theta, rates, problem, grasp_force, applied)
         self._follow_touch(contacts.touching)
         whole, contacts = contacts, contacts.part(self._touching)
@@ -393,8 +393,8 @@ class Controller:
         tips, problem = self._checked(stamp, theta, rates, contacts, forces, applied)
         problem = problem or self._implausible(optimal_forces, grasp_force)
         if problem:
-            return self._doubt(stamp, theta, rates, problem, applied)
-        self._doubted = None
+            return self._reject_inputs(stamp, theta, rates, problem, applied)
+        self._implausible_since = None
         try:
             pose = self._law.auxiliary_pose(tips, contacts)
             self._grasp = Grasp(theta, whole, pose)
@@ -553,7 +553,7 @@ class Controller:
             grasp_force: k_f where it is known, N. The held force rises with it and never falls.
             applied: Torque of the joints since the last tick, shape (m,), N m; None if unknown.
         """
-        self._targets.begin_tick()
+        self._targets.start_tick()
         if not self.enabled:
             return self._disabled(theta, rates)
         self._enter(Mode.HOLD, theta)
@@ -635,13 +635,13 @@ class Controller:
         c = self.config
         return c.law.observer.time > 0.0 and c.force_tolerance > 0.0
 
-    def _doubt(
+    def _reject_inputs(
         self, stamp: int, theta: Array, rates: Array, reason: str, applied: Array | None
     ) -> Command:
         """Answer a tick with an input that is implausible, as if it were missing."""
-        if self._doubted is None:
-            self._doubted = stamp
-        is_new = 1e-9 * (stamp - self._doubted) < self.config.input_timeout
+        if self._implausible_since is None:
+            self._implausible_since = stamp
+        is_new = 1e-9 * (stamp - self._implausible_since) < self.config.input_timeout
         held = self.hold(theta, rates, reason, applied=applied)
         return held._replace(do_not_send=is_new or held.do_not_send)
 
@@ -667,7 +667,7 @@ class Controller:
             return False
         self._regrasp.finish()
         self._law.reset()
-        self._targets.begin_grasp()
+        self._targets.start_grasp()
         self._hold_with(contacts.touching)
         self._new_grasp()
         return True

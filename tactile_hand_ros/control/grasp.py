@@ -232,7 +232,7 @@ class VirtualFrame:
     start (of the three that are farthest from a line, where fingers stand in a row) is turned by
     the rotation that best fits all contacts to their first positions (Kabsch 1976).
 
-    Source: Shaw-Cortez et al., section III; our generalisation for k > 3.
+    Source: Shaw-Cortez et al., section III; our generalization for k > 3.
     """
 
     def __init__(self) -> None:

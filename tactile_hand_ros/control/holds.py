@@ -42,7 +42,7 @@ Array = NDArray[np.float64]
 
 _PHASE = 0.5  # w d: leaves 17 degrees of phase at the longest delay, 47 at half of it
 _POSE_PHASE = 0.25  # of the stiffness, by the age of touch; the part of the damping that age takes
-_SHAKES = 0.03  # of a finger's weight, by errors of angles; the grasp force keeps 0.6 in reserve
+_SHAKE = 0.03  # of a finger's weight, by errors of angles; the grasp force keeps 0.6 in reserve
 _MARGIN = 1.5  # of the stiffness over that with which the grasp would just not buckle
 _MAX_OFFSET, _MAX_RATE = np.pi, 1e3  # rad and rad/s; whatever is read, the torque stays finite
 _WINDOW = 64  # angles that are looked at; at rest their slope is an error of an angle over all
@@ -147,7 +147,7 @@ def _quietest(hand: Hand, inertia: Array, error: float) -> float:
 
     Their torque M_h w^2 e may be that of a fraction of a finger's weight at its full reach.
     """
-    allowed = _SHAKES * hand.finger_weight * hand.spans.max()
+    allowed = _SHAKE * hand.finger_weight * hand.spans.max()
     return math.sqrt(allowed / (inertia.diagonal().max() * error)) if error > 0.0 else math.inf
 
 
@@ -377,7 +377,7 @@ class GuardHoldConfig(Config):
     friction: float = param(
         0.2, "friction that load is assumed to have which comes during the hold", gt=0.0, le=10.0
     )
-    squeeze_limit: float = param(
+    internal_force_limit: float = param(
         40.0, "sum of internal forces above which the hold adds none", unit="N", ge=0.0, le=1e4
     )
 
@@ -433,19 +433,19 @@ class GuardHold:
         _, internal = split_forces(tip_forces(tips, pressed))
         self._internal_force = float(np.linalg.norm(internal, axis=1).sum())
         self._internal = joint_torque(tips, internal)
-        self._most = self._largest_factor()
-        self._factor = min(1.0 + self._config.reserve, self._most)
+        self._largest = self._largest_factor()
+        self._factor = min(1.0 + self._config.reserve, self._largest)
         self.brake(theta, rates)
 
     def _largest_factor(self) -> float:
         """Return s at the limit of the internal force or of a joint, at least 1."""
-        if self._internal_force < self._hand.least_force:
+        if self._internal_force < self._hand.minimum_force:
             return 1.0
         room = self._hand.effort_limits - np.abs(self._pressed)
         moved = np.abs(self._internal)
         joints = room[moved > 0.0] / moved[moved > 0.0]
         factors = [
-            self._config.squeeze_limit / self._internal_force,
+            self._config.internal_force_limit / self._internal_force,
             1.0 + float(np.min(joints, initial=np.inf)),
         ]
         return max(1.0, min(factors))
@@ -483,7 +483,7 @@ class GuardHold:
         The load has deflected the spring, which angles alone show: no noise of rates is taken for
         it. Angles know it to their resolution.
         """
-        if self._internal_force < self._hand.least_force:
+        if self._internal_force < self._hand.minimum_force:
             return
         fraction = -math.expm1(-self._tick / _LOAD_TIME)
         self._deflected = self._deflected + fraction * (away - self._deflected)
@@ -493,7 +493,7 @@ class GuardHold:
         )
         load, _ = split_forces(tip_forces(terms.tips, stiffness @ deflection))
         factor = 1.0 + float(np.linalg.norm(load)) / (c.friction * self._internal_force)
-        self._factor = min(max(self._factor, factor), self._most)
+        self._factor = min(max(self._factor, factor), self._largest)
 
     def _move_reference(self) -> Array:
         """Move the reference ahead on the way to rest; return its acceleration, which has no jerk.

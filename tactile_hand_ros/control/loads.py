@@ -119,7 +119,7 @@ class ReserveConfig(Config):
         live=True,
         ge=0.0,
     )
-    share: float = param(
+    fraction: float = param(
         0.2, "fraction of the largest recent load that may come on top", live=True, ge=0.0, le=2.0
     )
 

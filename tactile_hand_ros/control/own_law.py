@@ -47,11 +47,11 @@ def known_law(law: Any) -> str:
     return name
 
 
-def folder_of(name: str, beside: Path) -> str:
-    """Return the folder to import a law from: `beside` if its module is there, else none."""
+def folder_of(name: str, candidate: Path) -> str:
+    """Return the folder to import a law from: `candidate` if its module is there, else none."""
     top = name.partition(":")[0].partition(".")[0]
-    is_there = (beside / f"{top}.py").is_file() or (beside / top / "__init__.py").is_file()
-    return str(beside.resolve()) if ":" in name and is_there else ""
+    is_there = (candidate / f"{top}.py").is_file() or (candidate / top / "__init__.py").is_file()
+    return str(candidate.resolve()) if ":" in name and is_there else ""
 
 
 def _imported(config: LawConfig, module: str) -> ModuleType:

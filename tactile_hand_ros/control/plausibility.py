@@ -57,7 +57,7 @@ def implausible_shape(optimal_forces: Array) -> str:
     return f"the normal parts of f* add up to {total:.3g} instead of 1; holding until they do"
 
 
-FELT_TIME = 0.005
+COMPARISON_TIME = 0.005
 """Time over which forces and torques are compared [s]."""
 
 _TURN_TIME = 0.01  # s over which rates of a turning palm are averaged
@@ -107,7 +107,7 @@ class ForceTorqueCheck:
 
     def __init__(self, hand: Hand) -> None:
         """Start without a past."""
-        self._least = hand.least_force * hand.spans
+        self._minimum = hand.minimum_force * hand.spans
         reach = float(np.max(np.linalg.norm(hand.bases, axis=1) + hand.spans))
         self._swung = hand.finger_mass * reach * hand.spans  # per 1/s^2, kg m^2
         self.reset()
@@ -115,13 +115,13 @@ class ForceTorqueCheck:
     def reset(self) -> None:
         """Forget the past: time or grasp are new."""
         self._last: tuple[int, Array] | None = None
-        self._pressed = self._felt = np.zeros(0)
-        self._noise = np.zeros(len(self._least))
-        self._began = 0
+        self._pressed = self._measured = np.zeros(0)
+        self._noise = np.zeros(len(self._minimum))
+        self._started = 0
         self._past: deque[tuple[int, Array]] = deque()  # ticks, ns, and what was pressed then
         self._repeats: list[_Repeat] = []
         self._palm: Array | None = None
-        self._spin, self._gain = np.zeros(3), np.zeros(3)  # of the palm, rad/s and rad/s^2
+        self._spin, self._acceleration = np.zeros(3), np.zeros(3)  # of the palm, rad/s and rad/s^2
 
     def step(
         self,
@@ -136,7 +136,7 @@ class ForceTorqueCheck:
     ) -> str:
         """Return why forces and torques do not fit each other; empty if they do.
 
-        Both are averaged over `FELT_TIME`, within which a blow passes through the fingers.
+        Both are averaged over `COMPARISON_TIME`, within which a blow passes through the fingers.
 
         Args:
             stamp: The tick, ns.
@@ -155,18 +155,19 @@ class ForceTorqueCheck:
         tips, inertia, bias = terms
         dt = 1e-9 * (stamp - before[0])
         pressed = applied - inertia @ (rates - before[1]) / dt - bias
-        felt = joint_torques(*tips, contacts.positions, in_palm(contacts.rotations, forces, 1.0))
+        seen = in_palm(contacts.rotations, forces, 1.0)
+        measured = joint_torques(*tips, contacts.positions, seen)
         if not self._past:
-            self._pressed = self._felt = pressed
-            self._began = stamp
+            self._pressed = self._measured = pressed
+            self._started = stamp
         own = np.abs(tips.linear).max(axis=1) > 0.0
-        fraction = 1.0 - math.exp(-dt / FELT_TIME)
+        fraction = 1.0 - math.exp(-dt / COMPARISON_TIME)
         self._pressed = self._pressed + fraction * (pressed - self._pressed)
-        if 1e-9 * (stamp - self._began) < limits.latency:  # forces may be those of torques before
-            felt = self._pressed
-        self._felt = self._felt + fraction * (felt - self._felt)
+        if 1e-9 * (stamp - self._started) < limits.latency:  # forces may be those of torques before
+            measured = self._pressed
+        self._measured = self._measured + fraction * (measured - self._measured)
         self._remember(stamp, limits.latency)
-        noise = own @ np.abs(inertia) @ np.broadcast_to(limits.rates, rates.shape) / FELT_TIME
+        noise = own @ np.abs(inertia) @ np.broadcast_to(limits.rates, rates.shape) / COMPARISON_TIME
         noise = noise + self._swung * self._turning(palm, dt)
         self._noise = np.maximum(noise, (1.0 - fraction) * self._noise)
         if not any(self._fits(past, own, limits.force) for _, past in reversed(self._past)):
@@ -189,9 +190,9 @@ class ForceTorqueCheck:
             own: Which joints move which finger, shape (k, m).
             tolerance: Largest error of a finger as a fraction.
         """
-        error, torque = (np.sqrt(own @ np.square(x)) for x in (self._felt - pressed, pressed))
+        error, torque = (np.sqrt(own @ np.square(x)) for x in (self._measured - pressed, pressed))
         shown = torque + _SPREAD * math.sqrt(pressed @ pressed)
-        limit = self._least + self._noise + tolerance * shown
+        limit = self._minimum + self._noise + tolerance * shown
         return bool((error <= limit).all())
 
     def _turning(self, palm: Array | None, dt: float) -> float:
@@ -201,8 +202,9 @@ class ForceTorqueCheck:
             return 0.0
         fraction, last = -math.expm1(-dt / _TURN_TIME), self._spin
         self._spin = last + fraction * (vector_from_rotation(before.T @ palm) / dt - last)
-        self._gain = self._gain + fraction * ((self._spin - last) / dt - self._gain)
-        return float(np.linalg.norm(self._gain) + self._spin @ self._spin)
+        change = (self._spin - last) / dt - self._acceleration
+        self._acceleration = self._acceleration + fraction * change
+        return float(np.linalg.norm(self._acceleration) + self._spin @ self._spin)
 
     def _is_frozen(
         self, stamp: int, tips: Fingertips, own: NDArray[np.bool_], forces: Array, latency: float
@@ -220,12 +222,12 @@ class ForceTorqueCheck:
                 changes = [abs(a - b) for a, b in zip(force, last.force, strict=True) if a != b]
                 finest = min(last.finest, *changes)
                 self._repeats[i] = _Repeat(stamp, force, self._pressed, finest)
-            elif 1e-9 * (stamp - last.stamp) > 2.0 * latency + FELT_TIME:
+            elif 1e-9 * (stamp - last.stamp) > 2.0 * latency + COMPARISON_TIME:
                 change = np.abs((self._pressed - last.pressed)[own[i]]).max()
                 lever = math.sqrt(np.square(tips.linear[i]).sum(axis=0).max())
                 torque = np.abs(last.pressed[own[i]]).max()
-                fine = _FINE_FRACTION * (torque + self._least[i]) + _STEPS * lever * last.finest
-                shown = min(fine, _FROZEN_FRACTION * torque + self._least[i])
+                fine = _FINE_FRACTION * (torque + self._minimum[i]) + _STEPS * lever * last.finest
+                shown = min(fine, _FROZEN_FRACTION * torque + self._minimum[i])
                 if change > self._noise[i] + shown:
                     return True
         return False
@@ -240,7 +242,7 @@ class InputCheck:
         self._forces = ForceTorqueCheck(hand)
         self._theta, self._points = np.full(hand.joints, np.nan), np.zeros((hand.fingers, 3))
 
-    def begin_grasp(self) -> None:
+    def start_grasp(self) -> None:
         """Compare no forces with torques from before: a contact or the grasp is new."""
         self._forces.reset()
 

@@ -27,11 +27,11 @@ from tactile_hand_ros.rotations import vector_from_rotation
 Array = NDArray[np.float64]
 
 _ITERATIONS = 100
-_LOOKS = 32  # postures that a check may look at: it runs inside a tick
-_ROUNDS, _LOOKS_MORE = 6, 4  # of the rolling, and postures that each of them may look at
+_MAX_POSTURES = 32  # postures that a check may look at: it runs inside a tick
+_ROUNDS, _ROUND_POSTURES = 6, 4  # of the rolling, and postures that each of them may look at
 _ROLLED = 0.02  # of the radius, by which rolling is known well enough: a degree
 _PACE, _PATIENCE = 300, 3  # so many steps like each of the last few are too far to go
-_LEAST_DAMPING = 1e-12  # far above rounding, so that a redundant finger's system can be solved
+_MIN_DAMPING = 1e-12  # far above rounding, so that a redundant finger's system can be solved
 
 
 def check_reach(
@@ -137,7 +137,7 @@ def _rolled(
         arms = centered(points + rolled)
         body = turn @ best_rotation(arms, centered(points))
         tips = position + (arms - radii * normals) @ body.T
-        *_, (there, _) = islice(_approach(hand, tips, there), _LOOKS_MORE)
+        *_, (there, _) = islice(_approach(hand, tips, there), _ROUND_POSTURES)
     return _rims(hand, there, normals @ body.T)
 
 
@@ -148,7 +148,7 @@ def _search(hand: Hand, tips: Array, start: Array) -> tuple[Array, Array]:
     """
     theta, missing, length, slow = start, np.full(hand.fingers, np.inf), np.inf, 0
     enough = OFF_TIP * hand.radii
-    for theta, error in islice(_approach(hand, tips, start), _LOOKS):
+    for theta, error in islice(_approach(hand, tips, start), _MAX_POSTURES):
         missing, before = np.linalg.norm(error, axis=1), length
         length = float(np.linalg.norm(error))
         if (missing <= enough).all() or slow >= _PATIENCE:
@@ -199,6 +199,6 @@ def _approach(hand: Hand, tips: Array, start: Array) -> Iterator[tuple[Array, Ar
         trial = np.clip(theta + np.linalg.solve(normal, jacobian.T @ error), lower, upper)
         after = hand.fingertips(trial)
         if np.sum((tips - after.positions) ** 2) < error @ error:
-            theta, reached, damping = trial, after, max(damping * 0.3, _LEAST_DAMPING)
+            theta, reached, damping = trial, after, max(damping * 0.3, _MIN_DAMPING)
         else:
             damping = damping * 10.0

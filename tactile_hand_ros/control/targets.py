@@ -70,10 +70,10 @@ class SmoothReference:
         return self._pose
 
 
-MOST_WAITING = 1000
+MAX_WAITING = 1000
 """Desired poses that may wait for their tick."""
 
-MOST_CHECKED = 1
+MAX_CHECKED = 1
 """Desired poses whose reach is checked when they come, in one tick; that of others is checked when
 they are due. A pose out of reach takes milliseconds, and a flood of them must not cost the grip."""
 
@@ -129,11 +129,11 @@ class TargetQueue:
         self._in_reach: Target | None = None
         self._checked = 0
 
-    def begin_tick(self) -> None:
+    def start_tick(self) -> None:
         """Take new poses again: a tick has time to check a few of them."""
         self._checked, self.accepted = 0, None
 
-    def begin_grasp(self) -> None:
+    def start_grasp(self) -> None:
         """Drop the target of the last grasp; poses that wait are judged by the new one."""
         self.target = self._in_reach = None
         self._queue = [queued._replace(judged=False) for queued in self._queue]
@@ -150,7 +150,7 @@ class TargetQueue:
         Raises:
             PoseError: If the grasp cannot be carried there.
         """
-        is_judged = grasp is not None and self._checked < MOST_CHECKED
+        is_judged = grasp is not None and self._checked < MAX_CHECKED
         if grasp is not None and is_judged:
             self._checked += 1
             self._judge(target.kept(grasp.pose), grasp)
@@ -168,7 +168,7 @@ class TargetQueue:
         if stamp <= (now or 0):
             stamp = 0
         bisect.insort(self._queue, _QueuedPose(stamp, target, judged), key=_due_at)
-        if len(self._queue) > MOST_WAITING:
+        if len(self._queue) > MAX_WAITING:
             del self._queue[0]
             self.dropped += 1
 

@@ -19,11 +19,11 @@ Array = NDArray[np.float64]
 
 
 class Fingertips(NamedTuple):
-    """Fingertip centres and their Jacobians at one configuration, all in palm axes.
+    """Fingertip centers and their Jacobians at one configuration, all in palm axes.
 
     Attributes:
-        positions: Centres p_f, shape (k, 3), m.
-        linear: Jacobians J of the centres' velocities, shape (k, 3, m).
+        positions: Centers p_f, shape (k, 3), m.
+        linear: Jacobians J of the centers' velocities, shape (k, 3, m).
         angular: Jacobians J_Omega of the tips' angular velocities, shape (k, 3, m).
 
     Source: Shaw-Cortez et al., equation (1).
@@ -36,7 +36,7 @@ class Fingertips(NamedTuple):
 
 @compiled
 def tip_jacobians(
-    spatial: Array, support: NDArray[np.bool_], centres: Array
+    spatial: Array, support: NDArray[np.bool_], centers: Array
 ) -> tuple[Array, Array]:
     """Return the Jacobians J and J_Omega of the fingertips, each of shape (k, 3, m), equation (1).
 
@@ -44,12 +44,12 @@ def tip_jacobians(
         spatial: Velocities of the bodies at the palm's origin per joint rate, linear above angular,
             palm axes, shape (6, m).
         support: Which joints move which tip, shape (k, m).
-        centres: Fingertip centres, palm frame, shape (k, 3), m.
+        centers: Fingertip centers, palm frame, shape (k, 3), m.
     """
     k, m = support.shape
     linear, angular = np.zeros((k, 3, m)), np.zeros((k, 3, m))
     for i in range(k):
-        x, y, z = centres[i]
+        x, y, z = centers[i]
         for j in range(m):
             if support[i, j]:
                 a, b, c = spatial[3, j], spatial[4, j], spatial[5, j]
@@ -69,7 +69,7 @@ class RawDynamics(NamedTuple):
     """Dynamics of the hand as Pinocchio has computed them.
 
     Attributes:
-        centres: Fingertip centres, palm frame, shape (k, 3), m.
+        centers: Fingertip centers, palm frame, shape (k, 3), m.
         spatial: Velocities of the bodies at the palm's origin per joint rate, linear above angular,
             palm axes, shape (6, m).
         support: Which joints move which tip, shape (k, m).
@@ -77,7 +77,7 @@ class RawDynamics(NamedTuple):
         bias: C_h theta' + N_h, shape (m,), N m.
     """
 
-    centres: Array
+    centers: Array
     spatial: Array
     support: NDArray[np.bool_]
     inertia: Array
@@ -101,7 +101,7 @@ class Hand:
         spans: How far each fingertip can ever be from there, shape (k,), m.
         finger_mass: Mean mass of a finger, kg.
         finger_weight: Its weight on Earth, N.
-        least_force: A hundredth of a finger's weight, N: fingers that press less hold nothing.
+        minimum_force: A hundredth of a finger's weight, N: fingers that press less hold nothing.
     """
 
     def __init__(
@@ -135,7 +135,7 @@ class Hand:
         self._support = _support(self._model, self._tips)
         # Views of what Pinocchio writes.
         self._spatial, self._inertia, self._bias = self._data.J, self._data.M, self._data.nle
-        self._centres = [self._data.oMf[frame].translation for frame in self._tips]
+        self._centers = [self._data.oMf[frame].translation for frame in self._tips]
         self._turned: pin.Model | None = None  # with a palm that moves
         self.gravity = np.zeros(3) if gravity is None else np.asarray(gravity)
         self.fingers = len(self._tips)
@@ -154,7 +154,7 @@ class Hand:
         self.bases, self.spans = _reaches(self._model, self._tips)
         self.finger_mass = sum(body.mass for body in self._model.inertias[1:]) / self.fingers
         self.finger_weight = 9.81 * self.finger_mass
-        self.least_force = 0.01 * self.finger_weight
+        self.minimum_force = 0.01 * self.finger_weight
 
     @classmethod
     def load(
@@ -179,7 +179,7 @@ class Hand:
         part.fingers = len(fingers)
         part.finger_names = [self.finger_names[i] for i in fingers]
         part._tips = [self._tips[i] for i in fingers]
-        part._centres = [self._centres[i] for i in fingers]
+        part._centers = [self._centers[i] for i in fingers]
         part._support, part.radii = self._support[chosen], self.radii[chosen]
         part.bases, part.spans = self.bases[chosen], self.spans[chosen]
         return part
@@ -194,7 +194,7 @@ class Hand:
         self._model.gravity.linear = gravity
 
     def fingertips(self, theta: Array) -> Fingertips:
-        """Return tip centres and Jacobians, equation (1).
+        """Return tip centers and Jacobians, equation (1).
 
         Args:
             theta: Joint angles, shape (m,), rad.
@@ -203,20 +203,20 @@ class Hand:
         return self._read_fingertips()
 
     def tip_positions(self, theta: Array) -> Array:
-        """Return the centres of the fingertips alone, shape (k, 3), m."""
+        """Return the centers of the fingertips alone, shape (k, 3), m."""
         pin.forwardKinematics(self._model, self._data, theta)
-        return self._read_centres()
+        return self._read_centers()
 
-    def _read_centres(self) -> Array:
+    def _read_centers(self) -> Array:
         pin.updateFramePlacements(self._model, self._data)
         out = np.empty((len(self._tips), 3))
-        for i, centre in enumerate(self._centres):
-            out[i] = centre
+        for i, center in enumerate(self._centers):
+            out[i] = center
         return out
 
     def _read_fingertips(self) -> Fingertips:
-        centres = self._read_centres()
-        return Fingertips(centres, *tip_jacobians(self._spatial, self._support, centres))
+        centers = self._read_centers()
+        return Fingertips(centers, *tip_jacobians(self._spatial, self._support, centers))
 
     def dynamics(self, theta: Array, rates: Array) -> tuple[Fingertips, Array, Array]:
         """Return fingertips, inertia matrix M_h and bias C_h theta' + N_h of equation (3).
@@ -228,8 +228,8 @@ class Hand:
         Returns:
             Fingertips, inertia matrix of shape (m, m) and bias torques of shape (m,), N m.
         """
-        centres, spatial, support, inertia, bias = self.raw_dynamics(theta, rates)
-        tips = Fingertips(centres, *tip_jacobians(spatial, support, centres))
+        centers, spatial, support, inertia, bias = self.raw_dynamics(theta, rates)
+        tips = Fingertips(centers, *tip_jacobians(spatial, support, centers))
         return tips, mirrored(inertia), bias.copy()
 
     def raw_dynamics(self, theta: Array, rates: Array) -> RawDynamics:
@@ -243,17 +243,17 @@ class Hand:
         pin.computeJointJacobians(model, data, theta)
         pin.crba(model, data, theta)
         pin.nonLinearEffects(model, data, theta, rates)
-        centres = self._read_centres()
-        return RawDynamics(centres, self._spatial, self._support, self._inertia, self._bias)
+        centers = self._read_centers()
+        return RawDynamics(centers, self._spatial, self._support, self._inertia, self._bias)
 
-    def turning_torque(self, theta: Array, rates: Array, spin: Array, gain: Array) -> Array:
+    def turning_torque(self, theta: Array, rates: Array, spin: Array, acceleration: Array) -> Array:
         """Return the torques that a turning palm takes of the joints, shape (m,), N m.
 
         Args:
             theta: Joint angles, shape (m,), rad.
             rates: Joint rates, shape (m,), rad/s.
             spin: Angular velocity of the palm, palm axes, shape (3,), rad/s.
-            gain: Its angular acceleration, shape (3,), rad/s^2.
+            acceleration: Its angular acceleration, shape (3,), rad/s^2.
         """
         if self._turned is None:
             self._turned = pin.buildModelFromXML(self.description, pin.JointModelFreeFlyer())
@@ -262,9 +262,9 @@ class Hand:
         at = np.concatenate([np.zeros(6), [1.0], theta])
         still, none = np.concatenate([np.zeros(6), rates]), np.zeros(self.joints)
         turns = np.concatenate([np.zeros(3), spin, rates])
-        gains = np.concatenate([np.zeros(3), gain, none])
+        accelerations = np.concatenate([np.zeros(3), acceleration, none])
         model, data = self._turned, self._turned_data
-        moved = np.array(pin.rnea(model, data, at, turns, gains))
+        moved = np.array(pin.rnea(model, data, at, turns, accelerations))
         return np.asarray((moved - pin.rnea(model, data, at, still, np.zeros(len(still))))[6:])
 
     def gravity_torque(self, theta: Array) -> Array:
@@ -298,16 +298,16 @@ class Hand:
         return points[::-1]
 
 
-def _stretch(model: pin.Model, share: float) -> None:
+def _stretch(model: pin.Model, factor: float) -> None:
     """Make all links longer or shorter: what moves with a joint, not where fingers are mounted."""
     for joint in range(1, model.njoints):
-        model.inertias[joint].lever = share * model.inertias[joint].lever
+        model.inertias[joint].lever = factor * model.inertias[joint].lever
         if model.parents[joint] > 0:
             placement = model.jointPlacements[joint]
-            placement.translation = share * placement.translation
+            placement.translation = factor * placement.translation
     for frame in model.frames:
         if frame.parentJoint > 0:
-            frame.placement.translation = share * frame.placement.translation
+            frame.placement.translation = factor * frame.placement.translation
 
 
 def _support(model: pin.Model, tips: list[int]) -> NDArray[np.bool_]:
@@ -373,11 +373,11 @@ def _check_inertia(model: pin.Model, urdf: str) -> None:
             f"joint '{light[0]}' of '{urdf}' moves no mass; give the links behind it an <inertial> "
             "with mass and inertia"
         )
-    least, *_, most = np.linalg.eigvalsh(inertia)
-    if not least > 1e-12 * most:
+    smallest, *_, largest = np.linalg.eigvalsh(inertia)
+    if not smallest > 1e-12 * largest:
         raise HandModelError(
-            f"the joints of '{urdf}' have an inertia matrix with the eigenvalue {least:.3g}, "
-            "expected all above 0; check mass, centre and inertia of every <inertial>"
+            f"the joints of '{urdf}' have an inertia matrix with the eigenvalue {smallest:.3g}, "
+            "expected all above 0; check mass, center and inertia of every <inertial>"
         )
 
 

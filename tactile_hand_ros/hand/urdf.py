@@ -15,7 +15,7 @@ from tactile_hand_ros.config.plain_yaml import read_text
 from tactile_hand_ros.errors import ConfigurationError, HandModelError
 
 _GRAVITY = 9.81  # m/s^2
-_MOST_LINKS = 500
+_MAX_LINKS = 500
 _LARGEST_NUMBER = 1e6  # in SI units; far above any hand, far below what overflows
 _PRINTED = 0.01  # of the largest moment: the digits that a URDF leaves out
 _INERTIA = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
@@ -89,8 +89,8 @@ def _not_expanded(path: Path) -> HandModelError:
 
 def _check(root: Element, name: str, any_inertia: bool) -> None:
     links = root.findall("link")
-    if len(links) > _MOST_LINKS:
-        raise HandModelError(f"'{name}' has {len(links)} links; at most {_MOST_LINKS} are read")
+    if len(links) > _MAX_LINKS:
+        raise HandModelError(f"'{name}' has {len(links)} links; at most {_MAX_LINKS} are read")
     for joint in root.findall("joint"):
         for tag, attribute, value in _numbers(joint, _OF_JOINTS, name):
             if joint.get("type") in _LIMITED and attribute == "effort" and value <= 0.0:

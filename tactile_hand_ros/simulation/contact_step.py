@@ -47,7 +47,7 @@ class Motion(NamedTuple):
     Attributes:
         theta: Joint angles, shape (m,), rad.
         velocities: Joint rates, velocity and spin of the object, shape (m + 6,).
-        position: Centre of mass, shape (3,), m.
+        position: Center of mass, shape (3,), m.
         rotation: Object frame in the palm frame, shape (3, 3).
         before: The velocities one step earlier, shape (m + 6,).
         rows: A of `velocity_map` half a step earlier, shape (k, 3, m + 6).
@@ -99,9 +99,9 @@ def contact_geometry(
 
     Args:
         world: Object and fingertips.
-        position: Centre of mass of the object, palm frame, shape (3,), m.
+        position: Center of mass of the object, palm frame, shape (3,), m.
         rotation: Object frame in the palm frame, shape (3, 3).
-        tips: Fingertip centres, palm frame, shape (k, 3), m.
+        tips: Fingertip centers, palm frame, shape (k, 3), m.
 
     Returns:
         Points on the fingertips p_c = p_f + r n, shape (k, 3), contact frames, shape (k, 3, 3), and
@@ -143,7 +143,7 @@ def velocity_map(hand: RawDynamics, position: Array, points: Array, frames: Arra
     Its hand part is -R_C^T J_h and its object part R_C^T G^T with G of (4), equation (6).
     """
     k, m = hand.support.shape
-    tips = Fingertips(hand.centres, *tip_jacobians(hand.spatial, hand.support, hand.centres))
+    tips = Fingertips(hand.centers, *tip_jacobians(hand.spatial, hand.support, hand.centers))
     out = np.empty((k, 3, m + 6))
     out[:, :, :m] = -hand_jacobian(tips, points, frames)
     out[:, :, m:] = grasp_map(points - position, frames).T.reshape(k, 3, 6)
@@ -172,12 +172,12 @@ def step(
         friction: Coulomb friction of each finger, shape (k,).
         hand: The hand half a step ahead.
         torque: tau, shape (m,), N m.
-        wrench: External wrench and weight about the object's centre of mass, shape (6,), N and N m.
+        wrench: External wrench and weight about the object's center of mass, shape (6,), N and N m.
     """
     k, m = hand.support.shape
     v = now.velocities
     position, rotation = _moved(now.position, now.rotation, 0.5 * h, v[m:])
-    points, frames, gaps = contact_geometry(world, position, rotation, hand.centres)
+    points, frames, gaps = contact_geometry(world, position, rotation, hand.centers)
     every = velocity_map(hand, position, points, frames)
     turning, slid = _since(h, now, every)
     near = np.flatnonzero(gaps < NEAR)

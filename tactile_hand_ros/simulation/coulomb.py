@@ -143,12 +143,12 @@ class _Laws(NamedTuple):
 def _contact_laws(delassus: Array, offset: Array, friction: Array) -> _Laws:
     """Return the laws with the inverse diagonal of W as mobility."""
     largest = np.diag(delassus).max()
-    least = _IMMOVABLE * largest if largest > 0.0 else 1.0
+    smallest = _IMMOVABLE * largest if largest > 0.0 else 1.0
     r = np.empty(len(offset))
     for x in range(0, len(offset), 3):
         tangential = 0.5 * (delassus[x, x] + delassus[x + 2, x + 2])
-        r[x] = r[x + 2] = 1.0 / max(tangential, least)
-        r[x + 1] = 1.0 / max(delassus[x + 1, x + 1], least)
+        r[x] = r[x + 2] = 1.0 / max(tangential, smallest)
+        r[x + 1] = 1.0 / max(delassus[x + 1, x + 1], smallest)
     return _Laws(delassus, offset, friction, r, r * max(np.abs(offset).max(), 1e-300))
 
 
@@ -208,17 +208,17 @@ def _newton(laws: _Laws, p: Array, stiffness: float) -> Array:
 
     The stiffness is a factor of r: where one fails, another may not.
     """
-    best, least = p, np.inf
+    best, smallest = p, np.inf
     for _ in range(_MAX_STEPS):
         value = _violation(laws, p, stiffness)
         worst = np.abs(value).max()
         if not worst < np.inf:
             break
-        before = least
-        if worst < least:
-            best, least = p, worst
+        before = smallest
+        if worst < smallest:
+            best, smallest = p, worst
         # Convergence is quadratic: one more step is worth it until rounding stops it.
-        if least < _EXACT or (least < _TOLERANCE and worst > 0.1 * before):
+        if smallest < _EXACT or (smallest < _TOLERANCE and worst > 0.1 * before):
             break
         step = _eliminate(_slope(laws, p, stiffness), -value)
         # Halve the step until the merit falls; take the full step when it never does.
@@ -258,7 +258,7 @@ def _violation(laws: _Laws, p: Array, stiffness: float) -> Array:
 
 @compiled
 def _slope(laws: _Laws, p: Array, stiffness: float) -> Array:
-    """Return an element of the generalised Jacobian of F / size at p."""
+    """Return an element of the generalized Jacobian of F / size at p."""
     w, b, mu, mobility, _ = laws
     r = stiffness * mobility
     aim = p - r * (w @ p + b)
@@ -306,9 +306,9 @@ def _eliminate(matrix: Array, right: Array) -> Array:
         matrix[i], matrix[row] = matrix[row].copy(), matrix[i].copy()
         matrix[:, i], matrix[:, column] = matrix[:, column].copy(), matrix[:, i].copy()
         for a in range(i + 1, n):
-            share = matrix[a, i] / matrix[i, i]
-            right[a] -= share * right[i]
-            matrix[a, i + 1 :] -= share * matrix[i, i + 1 :]
+            factor = matrix[a, i] / matrix[i, i]
+            right[a] -= factor * right[i]
+            matrix[a, i + 1 :] -= factor * matrix[i, i + 1 :]
     out = np.zeros(n)
     for i in range(rank - 1, -1, -1):
         total = right[i]

@@ -54,9 +54,9 @@ class PlantState(NamedTuple):
         rates: Joint rates, shape (m,), rad/s.
         torque: Torque that acted on the joints, shape (m,), N m.
         joints: What the joints report of these three.
-        position: Object's centre of mass, shape (3,), m.
+        position: Object's center of mass, shape (3,), m.
         rotation: Object frame in the palm frame, shape (3, 3).
-        velocity: Velocity of the centre of mass, shape (3,), m/s.
+        velocity: Velocity of the center of mass, shape (3,), m/s.
         spin: Angular velocity, shape (3,), rad/s.
         contacts: Contact points and frames; NaN where a finger does not touch.
         forces: Contact forces on the object in contact frames, shape (k, 3), N.
@@ -106,7 +106,7 @@ class Plant:
         """
         self.config = config
         self._gravity = np.array(config.gravity)
-        self.hand = self.known = Hand.load(config.hand, config.layout, self._gravity)
+        self.hand = self.model = Hand.load(config.hand, config.layout, self._gravity)
         self._reach = _REACH
         c = config.calibration
         if not c.is_right:
@@ -263,7 +263,7 @@ class Plant:
             return None
         turning = palm_turning(self.config.palm_motion, time)
         gravity = turning.rotation.T @ self._gravity
-        self.known.gravity = turning.rotation.T @ np.array(self.config.gravity)
+        self.model.gravity = turning.rotation.T @ np.array(self.config.gravity)
         self.hand.gravity = gravity
         self._weight = np.concatenate([self._world.mass * gravity, np.zeros(3)])
         return turning

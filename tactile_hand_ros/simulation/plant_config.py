@@ -18,8 +18,8 @@ from tactile_hand_ros.simulation.palm_motion import PalmTurn
 from tactile_hand_ros.simulation.skin import CalibrationConfig
 from tactile_hand_ros.simulation.solid import ConvexPolyhedron
 
-_MOST_GYRATION = 10.0  # radius of gyration, relative to the reach of the object
-_MOST_VERTICES = 500  # each contact is looked for on all faces, at each step
+_MAX_GYRATION = 10.0  # radius of gyration, relative to the reach of the object
+_MAX_VERTICES = 500  # each contact is looked for on all faces, at each step
 
 
 class ObjectConfig(Config):
@@ -29,7 +29,7 @@ class ObjectConfig(Config):
         (0.2604, 0.2604, 0.2604), "edges of a box, used without vertices", unit="m"
     )
     vertices: list[float] = param(
-        [], "corners x, y, z of a convex polyhedron", unit="m", max_length=3 * _MOST_VERTICES
+        [], "corners x, y, z of a convex polyhedron", unit="m", max_length=3 * _MAX_VERTICES
     )
     mass: float = param(0.0018, "mass", unit="kg", gt=0.0)
     inertia: list[float] = param(
@@ -40,7 +40,7 @@ class ObjectConfig(Config):
     )
     friction: float = param(100.0, "Coulomb friction mu of fingertips on it", live=True, ge=0.0)
     position: Vector = param(
-        (0.0, 0.0, 0.4098), "centre of mass at the start, palm frame", unit="m"
+        (0.0, 0.0, 0.4098), "center of mass at the start, palm frame", unit="m"
     )
     rotation: Vector = param(
         (0.0, 0.0, 0.0), "rotation vector at the start, palm frame", unit="rad"
@@ -76,7 +76,7 @@ class ObjectConfig(Config):
             )
         corners = np.reshape(self.vertices, (-1, 3)) if self.vertices else np.array([self.size]) / 2
         reach = float(np.linalg.norm(corners, axis=1).max())
-        largest = _MOST_GYRATION**2 * self.mass * reach**2
+        largest = _MAX_GYRATION**2 * self.mass * reach**2
         if max(self.inertia) > largest:
             raise ValueError(
                 f"inertia = {self.inertia}: no body of {self.mass:g} kg that reaches {reach:.2g} m "
@@ -84,7 +84,7 @@ class ObjectConfig(Config):
             )
 
     def solid(self) -> ConvexPolyhedron:
-        """Return the shape, in the frame of the centre of mass.
+        """Return the shape, in the frame of the center of mass.
 
         Raises:
             ObjectModelError: If the vertices do not span a solid.
@@ -97,7 +97,7 @@ class ObjectConfig(Config):
         """Return the inertia of a shape about the object's axes, shape (3, 3), kg m^2.
 
         Raises:
-            ObjectModelError: If it is to be that of a uniform body whose centre is elsewhere.
+            ObjectModelError: If it is to be that of a uniform body whose center is elsewhere.
         """
         if self.inertia:
             return np.diag(self.inertia)
@@ -105,7 +105,7 @@ class ObjectConfig(Config):
 
 
 class Disturbance(Config):
-    """One push on the object, at its centre of mass and in palm axes."""
+    """One push on the object, at its center of mass and in palm axes."""
 
     kind: Literal["step", "ramp", "pulse", "sine"] = param(
         "step",
@@ -129,7 +129,7 @@ class Disturbance(Config):
 
 
 def external_wrench(disturbances: Sequence[Disturbance], time: float) -> NDArray[np.float64]:
-    """Return w_e, force and torque about the object's centre of mass, shape (6,), N and N m."""
+    """Return w_e, force and torque about the object's center of mass, shape (6,), N and N m."""
     wrench = np.zeros(6)
     for push in disturbances:
         factor = push.factor(time)

@@ -30,7 +30,7 @@ class PlantRun:
             TactileHandError: If hand or object cannot be built.
         """
         self.plant = Plant(config)
-        self.guard = CommandGuard(config.guard, self.plant.known, config.tick, config.step)
+        self.guard = CommandGuard(config.guard, self.plant.model, config.tick, config.step)
         self._tick = config.tick
         self._end = round(config.duration * config.rate) * config.tick
         self._load_compiled_code()

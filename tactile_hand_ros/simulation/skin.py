@@ -134,17 +134,17 @@ class TactileReading:
 
 
 def miscalibrated(
-    config: CalibrationConfig, known: Hand, theta: Array, true: TactileReading
+    config: CalibrationConfig, model: Hand, theta: Array, true: TactileReading
 ) -> TactileReading:
-    """Return contacts p = p_f + r n and forces with the known p_f and r and a turned n.
+    """Return contacts p = p_f + r n and forces with the model p_f and r and a turned n.
 
     Args:
         config: The errors.
-        known: The hand as its controllers know it.
+        model: The hand as its controllers know it.
         theta: Joint angles, shape (m,), rad.
         true: The true contacts.
     """
-    centres, tips = known.tip_positions(theta), known.tip_rotations(theta)
+    centers, tips = model.tip_positions(theta), model.tip_rotations(theta)
     turns = tips @ rotation_from_vector(config.skin_rotation) @ np.swapaxes(tips, 1, 2)
     frames = turns @ rotation_from_quaternion(true.quaternions)
     normals = frames[:, :, 1]
@@ -152,7 +152,7 @@ def miscalibrated(
     forces = np.swapaxes(seen, 1, 2) @ frames @ true.forces[:, :, None]
     touches = np.isfinite(true.positions[:, :1])
     return TactileReading(
-        centres + known.radii[:, None] * normals,
+        centers + model.radii[:, None] * normals,
         quaternion_from_rotation(seen),
         np.where(touches, forces[:, :, 0], 0.0),
     )
@@ -161,8 +161,8 @@ def miscalibrated(
 _MEMORY = np.dtype(
     [
         ("bias", np.float64, 3),  # drifted zero of the force
-        ("felt", np.float64, 3),  # force after the bandwidth; NaN: none yet
-        ("arm", np.float64, 3),  # smoothed contact from the fingertip's centre; NaN: none
+        ("measured", np.float64, 3),  # force after the bandwidth; NaN: none yet
+        ("arm", np.float64, 3),  # smoothed contact from the fingertip's center; NaN: none
     ]
 )
 
@@ -180,17 +180,17 @@ class TactileSensor:
         self,
         config: TactileSensorConfig,
         radii: Array,
-        known: Hand | None = None,
+        model: Hand | None = None,
     ) -> None:
         """Build the skin of fingertips.
 
         Args:
             config: Its parameters.
             radii: Radii of the fingertips, shape (k,), m.
-            known: The hand as its controllers know it; only needed where its calibration is wrong.
+            model: The hand as its controllers know it; only needed where its calibration is wrong.
         """
         self._radii = np.asarray(radii, dtype=float)
-        self._known = None if config.calibration.is_right else known
+        self._model = None if config.calibration.is_right else model
         self._at_rest = np.zeros(len(self._radii))
         self.configure(config)
         self.reset()
@@ -208,7 +208,7 @@ class TactileSensor:
         self._held: TactileReading | None = None
         self._waiting: deque[tuple[int, TactileReading]] = deque()
         self._memory: Rows = np.zeros(k, _MEMORY)
-        self._memory["felt"] = self._memory["arm"] = np.nan
+        self._memory["measured"] = self._memory["arm"] = np.nan
         self._unread = np.random.default_rng([c.seed, 1])  # of samples that no tick reads
         band = c.vibration.low, c.vibration.high
         self._rumble = BandNoise((k, 3), *band, c.rate, c.bandwidth)
@@ -228,8 +228,8 @@ class TactileSensor:
             sliding: Sliding speeds of the contacts, shape (k,), m/s; none slides by default.
             theta: Joint angles, shape (m,), rad; only needed with a wrong calibration.
         """
-        if self._known is not None and theta is not None:
-            true = miscalibrated(self.config.calibration, self._known, theta, true)
+        if self._model is not None and theta is not None:
+            true = miscalibrated(self.config.calibration, self._model, theta, true)
         sample = int(stamp * 1e-9 * self.config.rate + 1e-6)
         if sample != self._sample:
             count = 1 if self._sample < 0 else sample - self._sample
@@ -247,9 +247,9 @@ class TactileSensor:
     ) -> TactileReading:
         """Return the newest of a number of samples."""
         k = len(self._radii)
-        # Drawn for every finger at every sample: one finger's luck leaves the others' alone.
+        # Drawn for every finger at every sample: one finger's draws leaves the others' alone.
         white = self._random.standard_normal((4, k, 3))
-        luck = self._random.random(k)
+        draws = self._random.random(k)
         if self.config.vibration.gain > 0.0:
             unread = max(0, min(count, math.ceil(self.config.rate)) - 1)  # of a second at most
             samples = white[1:2]
@@ -263,7 +263,7 @@ class TactileSensor:
         measured = _measured(self._memory, numbers, radii, *touch, speeds, white, elapsed)
         last = self._waiting[-1][1] if self._waiting else self._held
         if last is not None and self.config.dropout > 0.0:
-            lost = (luck < self.config.dropout)[:, None]
+            lost = (draws < self.config.dropout)[:, None]
             before = last.positions, last.quaternions, last.forces
             merged = (np.where(lost, *pair) for pair in zip(before, measured, strict=True))
             return TactileReading(*merged)
@@ -287,24 +287,24 @@ def _measured(
     The noise, of unit variance, is for location, vibration, drift and force, shape (4, k, 3).
     """
     c = config[0]
-    positions, quaternions, felt = positions.copy(), quaternions.copy(), forces.copy()
+    positions, quaternions, measured = positions.copy(), quaternions.copy(), forces.copy()
     for i in range(len(radii)):
-        felt[i] += _vibration(c, sliding[i]) * noise[1, i]
+        measured[i] += _vibration(c, sliding[i]) * noise[1, i]
     is_displaced = c["location_noise"] > 0.0 or c["location_resolution"] > 0.0
     if is_displaced or c["bandwidth"] > 0.0 or c["bias_drift"] > 0.0:
         # A force is one vector, in whatever frame it is reported.
-        felt = in_palm(rows_of_quaternions(quaternions).reshape(-1, 3, 3), felt, 1.0)
-        _follow(memory, c, felt, noise[2], elapsed)
+        measured = in_palm(rows_of_quaternions(quaternions).reshape(-1, 3, 3), measured, 1.0)
+        _follow(memory, c, measured, noise[2], elapsed)
         if is_displaced:
             _displace(memory, c, radii, positions, quaternions, noise[0], elapsed)
         seen = rows_of_quaternions(quaternions).reshape(-1, 3, 3)
-        felt = in_palm(seen.transpose(0, 2, 1), felt, 1.0)
+        measured = in_palm(seen.transpose(0, 2, 1), measured, 1.0)
     for i in range(len(radii)):
         touches = math.isfinite(positions[i, 0])
         for axis in range(3):
-            force = felt[i, axis] + c["force_noise"] * noise[3, i, axis]
-            felt[i, axis] = _rounded(force, c["force_resolution"]) if touches else 0.0
-    return positions, quaternions, felt
+            force = measured[i, axis] + c["force_noise"] * noise[3, i, axis]
+            measured[i, axis] = _rounded(force, c["force_resolution"]) if touches else 0.0
+    return positions, quaternions, measured
 
 
 @compiled
@@ -314,7 +314,7 @@ def _follow(memory: Rows, c: Row, forces: Array, white: Array, elapsed: float) -
     if c["bandwidth"] > 0.0:
         fraction = -math.expm1(-2.0 * math.pi * c["bandwidth"] * elapsed)
     for i in range(len(memory)):
-        before, bias = memory[i]["felt"], memory[i]["bias"]
+        before, bias = memory[i]["measured"], memory[i]["bias"]
         bias += walk * white[i]
         if not math.isfinite(forces[i, 0]):
             before[:] = 0.0
@@ -350,9 +350,9 @@ def _displace(
             shifted = radii[i] * normal[axis] + c["location_noise"] * white[i, axis]
             shifted = _rounded(shifted, c["location_resolution"])
             arm[axis] = _settled(memory[i], c, axis, shifted, elapsed)
-        centre = positions[i] - radii[i] * normal
+        center = positions[i] - radii[i] * normal
         seen = arm / math.sqrt(arm[0] * arm[0] + arm[1] * arm[1] + arm[2] * arm[2])
-        positions[i] = centre + radii[i] * seen
+        positions[i] = center + radii[i] * seen
         frames[i] = contact_frame(seen).reshape(9)
     quaternions[:] = quaternions_of_rows(frames)
 
@@ -361,10 +361,10 @@ def _displace(
 def _settled(m: Row, c: Row, axis: int, arm: float, elapsed: float) -> float:
     """Low-pass where on the fingertip the contact is; a new contact shows at once."""
     if c["location_bandwidth"] > 0.0:
-        share = 1.0 - math.exp(-2.0 * math.pi * c["location_bandwidth"] * elapsed)
+        fraction = 1.0 - math.exp(-2.0 * math.pi * c["location_bandwidth"] * elapsed)
         before = m["arm"][axis]
         if math.isfinite(before):
-            arm = before + share * (arm - before)
+            arm = before + fraction * (arm - before)
         m["arm"][axis] = arm
     return arm
 

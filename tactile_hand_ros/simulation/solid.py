@@ -13,7 +13,7 @@ from tactile_hand_ros.errors import ObjectModelError
 
 Array = NDArray[np.float64]
 
-_CENTRED = 0.01  # of the largest coordinate, by which vertices as people write them miss the centre
+_CENTERED = 0.01  # of the largest coordinate: error of the center of rounded vertices
 
 
 class Shape(NamedTuple):
@@ -112,7 +112,7 @@ class ConvexPolyhedron:
 
     @classmethod
     def box(cls, size: Array) -> ConvexPolyhedron:
-        """Return a box centred at the origin with the given edge lengths, shape (3,), m."""
+        """Return a box centered at the origin with the given edge lengths, shape (3,), m."""
         half = np.asarray(size, dtype=float) / 2.0
         signs = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
         # The planes are known, in the order in which Qhull would find them.
@@ -127,21 +127,21 @@ class ConvexPolyhedron:
         v = a . (b x c) / 6 and second moment v (a a^T + b b^T + c c^T + s s^T) / 20, s = a + b + c.
 
         Raises:
-            ObjectModelError: If its centre of mass is not at the origin, where the object's is.
+            ObjectModelError: If its center of mass is not at the origin, where the object's is.
         """
-        volume, centre, moment = 0.0, np.zeros(3), np.zeros((3, 3))
+        volume, center, moment = 0.0, np.zeros(3), np.zeros((3, 3))
         for corners in self.face_corners:
             for i in range(1, len(corners) - 1):
                 abc = self.vertices[corners[[0, i, i + 1]]]
                 part, s = np.linalg.det(abc) / 6.0, abc.sum(axis=0)
                 volume += part
-                centre += part * s / 4.0
+                center += part * s / 4.0
                 moment += part * (abc.T @ abc + np.outer(s, s)) / 20.0
-        centre, moment = centre / volume, moment / volume
-        if np.abs(centre).max() > _CENTRED * np.abs(self.vertices).max():
-            x, y, z = centre
+        center, moment = center / volume, moment / volume
+        if np.abs(center).max() > _CENTERED * np.abs(self.vertices).max():
+            x, y, z = center
             raise ObjectModelError(
-                f"the uniform body between these vertices has its centre of mass at ({x:.3g}, "
+                f"the uniform body between these vertices has its center of mass at ({x:.3g}, "
                 f"{y:.3g}, {z:.3g}) m, expected the origin; move the vertices, or give 'inertia'"
             )
         return np.asarray(np.trace(moment) * np.eye(3) - moment)

@@ -351,8 +351,8 @@ class ForceOptimizer:
             )
         return self._without_answer(
             Status.FAILED,
-            f"OSQP ended with '{best.ending}' after {best.iterations} iterations, and the best "
-            f"residual is {best.residual:.1e}; the last answer is not used",
+            f"OSQP ended with '{best.osqp_status}' after {best.iterations} iterations, and the "
+            f"best residual is {best.residual:.1e}; the last answer is not used",
         )
 
     def _without_answer(self, status: Status, reason: str) -> OptimalForces:

@@ -68,7 +68,7 @@ class Solution(NamedTuple):
         residual: See `residual`; infinite without an answer.
         iterations: Linear systems that were solved, or iterations of OSQP.
         solve_time: Time that OSQP reports where it was asked, s.
-        ending: How OSQP ended where it did not solve the problem; empty otherwise.
+        osqp_status: How OSQP ended where it did not solve the problem; empty otherwise.
         is_infeasible: Whether OSQP found that no x meets the constraints.
     """
 
@@ -76,7 +76,7 @@ class Solution(NamedTuple):
     residual: float
     iterations: int
     solve_time: float = 0.0
-    ending: str = ""
+    osqp_status: str = ""
     is_infeasible: bool = False
 
 
@@ -116,10 +116,10 @@ class QuadraticProgram:
         self._osqp.update(u=np.append(problem.right, problem.bounds), Ax=values)
         found = self._osqp.solve(raise_error=False)
         info, x, y = found.info, np.array(found.x), np.array(found.y)
-        ending = "" if info.status_val == _SOLVED else str(info.status)
-        if ending:
+        osqp_status = "" if info.status_val == _SOLVED else str(info.status)
+        if osqp_status:
             self._osqp = None  # where OSQP has ended is a bad start for the next problem
-        how = int(info.iter), float(info.run_time), ending, info.status_val in _INFEASIBLE
+        how = int(info.iter), float(info.run_time), osqp_status, info.status_val in _INFEASIBLE
         best = Solution(x, residual(problem, x, y), *how)
         if best.residual < _GOOD_RESIDUAL or best.residual <= exact.residual:
             return best
@@ -185,7 +185,7 @@ def solve_problem(problem: Problem, held: Flags) -> tuple[Array, Array, int]:
         worst = int(np.argmax(excess))
         if not excess[worst] > _ROUNDING * max(1.0, np.abs(x).max()):
             return x, multipliers, systems
-        taken = _let_in(problem, held, worst, excess[worst], y)
+        taken = _activate(problem, held, worst, excess[worst], y)
         systems += taken
         if not taken:
             break
@@ -229,7 +229,7 @@ def _optimum(problem: Problem, held: Flags, x: Array, multipliers: Array) -> boo
     """Fill in the optimum under active inequalities; return whether it is determined."""
     e = len(problem.equal)
     rows, right = _active(problem, held)
-    found, determined = least_cost(rows, right, problem.weights, problem.price, x)
+    found, determined = minimum_cost(rows, right, problem.weights, problem.price, x)
     multipliers[:] = 0.0
     multipliers[:e] = found[:e]
     multipliers[e:][held] = found[e:]
@@ -249,7 +249,7 @@ def _active(problem: Problem, held: Flags) -> tuple[Array, Array]:
 
 
 @compiled
-def _let_in(problem: Problem, held: Flags, entering: int, excess: float, y: Array) -> int:
+def _activate(problem: Problem, held: Flags, entering: int, excess: float, y: Array) -> int:
     """Make a violated inequality active; return how many systems that took, 0 if it cannot be.
 
     Its multiplier grows until it holds. An active one whose multiplier has come to zero before is
@@ -310,7 +310,7 @@ def _direction(problem: Problem, held: Flags, row: Array) -> tuple[Array, float]
 
 
 @compiled
-def least_cost(
+def minimum_cost(
     rows: Array, right: Array, weights: Array, price: Array, x: Array
 ) -> tuple[Array, bool]:
     """Fill in the optimum; return its multipliers y, and whether both are determined.

@@ -17,8 +17,8 @@ Array = NDArray[np.float64]
 
 # Largest gain of the innovation over frequency against its mean, at even times: 2^4 / (1 + 4 + 1)
 _OVERLAP = 16.0 / 6.0
-_COUNTS = 0.25  # fraction of the threshold that one sample counts at most; see `SlipDetector`
-_STAYS = 0.75  # fraction of the threshold down to which a slip continues
+_SAMPLE_LIMIT = 0.25  # fraction of the threshold that one sample counts at most; see `SlipDetector`
+_RELEASE = 0.75  # fraction of the threshold down to which a slip continues
 _BOUND = 3.0  # times its noise, for which a sample counts at most while the noise is learned
 _UNBIASED = 1.0 / (1.0 - math.exp(-_BOUND))  # makes up for it: power has two degrees of freedom
 _LATE = 3.0  # ticks by which a command may be late; older ones are rejected
@@ -39,7 +39,7 @@ class SlipDetectorConfig(Config):
     noise: float = param(
         0.02, "expected noise of a force until it is learned", unit="N", live=True, gt=0.0
     )
-    least_noise: float = param(
+    minimum_noise: float = param(
         0.002, "vibration below this is never taken for slip", unit="N", live=True, gt=0.0
     )
     relative_noise: float = param(0.002, "the same, per normal force", live=True, ge=0.0)
@@ -201,7 +201,7 @@ def _take(m: Row, c: Row, force: Array, normal: float, internal: Array) -> None:
     m["agrees"] = False
     if gain == 0.0:
         return
-    minimum = c["least_noise"] ** 2 + (c["relative_noise"] * normal) ** 2
+    minimum = c["minimum_noise"] ** 2 + (c["relative_noise"] * normal) ** 2
     noise = gain * max(m["variance"], minimum)
     bend, course = _across(r, internal), _across(m["rate"], internal)
     speed = math.sqrt(dot(course, course))
@@ -213,8 +213,8 @@ def _take(m: Row, c: Row, force: Array, normal: float, internal: Array) -> None:
     if m["touched_for"] > _SETTLING:
         found = 0.5 * (1.0 - 1.0 / _RATIO) * power / noise - math.log(_RATIO)
         m["agrees"] = found > 0.0
-        most = _COUNTS * m["threshold"]
-        m["evidence"] = min(max(0.0, m["evidence"] + min(found, most)), m["threshold"] + most)
+        limit = _SAMPLE_LIMIT * m["threshold"]
+        m["evidence"] = min(max(0.0, m["evidence"] + min(found, limit)), m["threshold"] + limit)
     if m["state"] != ContactState.SLIP or m["slipped_for"] > _PATIENCE:
         _learn(m, power / (gain * (1.0 + known)))
 
@@ -246,7 +246,7 @@ def _innovation(m: Row, force: Array) -> tuple[Array, float]:
 
 @compiled
 def _decide(m: Row, normal: float, dt: float) -> None:
-    slips = m["evidence"] > m["threshold"] * (_STAYS if m["state"] == ContactState.SLIP else 1.0)
+    slips = m["evidence"] > m["threshold"] * (_RELEASE if m["state"] == ContactState.SLIP else 1.0)
     m["slipped_for"] = m["slipped_for"] + dt if slips else 0.0
     is_known = normal > _SURE * math.sqrt(m["variance"]) and math.isfinite(m["change"][0])
     if m["touched_for"] <= _SETTLING or not is_known:

@@ -19,9 +19,9 @@ _SAMPLES = 10  # of a slip that count; later the grasp force may long have caugh
 _AFTERSHOCKS = 0.05  # s in which further alarms belong to the same slip
 _EXACT = 0.1  # relative error of a slip's force ratio apart from noise
 _SMALLEST = 1e-3  # force ratio, whose logarithm is finite
-_ALIKE = 0.2  # relative difference of the friction of fingers on one object
+_FINGER_SPREAD = 0.2  # relative difference of the friction of fingers on one object
 _SURE = 2.0  # standard deviations by which a force ratio must be proven
-_SURPRISE = 3.0  # standard deviations by which a slip differs at most, or the surface has changed
+_MAX_DEVIATION = 3.0  # standard deviations by which a slip may differ; beyond, the surface is new
 _SMALLEST_MU, _LARGEST_MU = 0.1, 1.5  # friction is never taken for lower or higher
 _SMOOTHING = 0.02  # s, time constant of the forces of a contact that sticks
 _LONGEST = 0.02  # s that a pause counts for at most: nothing is known of it
@@ -143,8 +143,8 @@ class FrictionEstimator:
             fresh: Whether the forces are new samples, shape (k,).
             dt: Time since the last tick, s.
         """
-        told = state, suspected, agrees, fresh
-        _learn(self._memory, self._row, forces, normals, *told, dt)
+        detected = state, suspected, agrees, fresh
+        _learn(self._memory, self._row, forces, normals, *detected, dt)
         return self.estimate
 
 
@@ -173,7 +173,7 @@ def _learn(
         elif fresh[i]:
             normal = dot(forces[i], normals[i])
             if agrees[i] and m["samples"] < _SAMPLES:
-                _read(m, forces[i], normal)
+                _add_sample(m, forces[i], normal)
             if state[i] == ContactState.STICK:
                 _bound(m, forces[i], normals[i])
             else:
@@ -185,18 +185,18 @@ def _learn(
             m["prior"][0], m["prior"][1] = m["mean"], m["variance"]
         m["slid"] = state[i] == ContactState.SLIP or (m["slid"] and not was_quiet)
         m["quiet_for"] = 0.0 if slips else m["quiet_for"] + dt
-        most = c["spread"] ** 2
+        largest = c["spread"] ** 2
         if state[i] == ContactState.STICK:
-            step = c["explore"] * m["variance"] / most * min(dt, _LONGEST)
+            step = c["explore"] * m["variance"] / largest * min(dt, _LONGEST)
             explored = min(m["mean"] + step, math.log(c["prior"]) + c["spread"])
             m["mean"] = max(m["mean"], explored)
-        m["variance"] = min(m["variance"] + most * dt / c["forget"], most)
+        m["variance"] = min(m["variance"] + largest * dt / c["forget"], largest)
     if slips:
-        _share(memory)
+        _combine(memory)
 
 
 @compiled
-def _read(m: Row, force: Array, normal: float) -> None:
+def _add_sample(m: Row, force: Array, normal: float) -> None:
     """Add a sample of a contact that slides, or may."""
     if m["samples"] == 0:
         m["sum"][:] = 0.0
@@ -223,7 +223,7 @@ def _measured(m: Row) -> tuple[float, float]:
 
 
 @compiled
-def _share(memory: Rows) -> None:
+def _combine(memory: Rows) -> None:
     """Multiply what was known before a slip by all that the slip has shown."""
     for i in range(len(memory)):
         m = memory[i]
@@ -231,11 +231,11 @@ def _share(memory: Rows) -> None:
         weight, total = 0.0, 0.0
         for j in range(len(memory)):
             ratio, error = _measured(memory[j])
-            error += 0.0 if j == i else _ALIKE**2
+            error += 0.0 if j == i else _FINGER_SPREAD**2
             if error < math.inf:
                 weight += 1.0 / error
                 total += ratio / error
-                variance = max(variance, ((ratio - before) / _SURPRISE) ** 2 - error)
+                variance = max(variance, ((ratio - before) / _MAX_DEVIATION) ** 2 - error)
         weight, total = weight + 1.0 / variance, total + before / variance
         m["mean"], m["variance"] = total / weight, 1.0 / weight
 

@@ -120,7 +120,7 @@ class RequiredGraspForce:
 
     def _reserve(self) -> Array:
         c, largest = self._config, self._memory["largest"]
-        return np.maximum(c.floor * self._weight / len(largest), c.share * largest)
+        return np.maximum(c.floor * self._weight / len(largest), c.fraction * largest)
 
 
 @compiled
@@ -244,7 +244,7 @@ class SlipResponse:
         goal = needed if math.isfinite(needed) else self.grasp_force
         if not whole:
             goal = max(goal, self.grasp_force)  # what is left shows the need only in part
-        goal = max(goal, self._startled(slips, slides, whole, some, limit, dt))
+        goal = max(goal, self._reflex(slips, slides, whole, some, limit, dt))
         if not some:  # nothing is left that a grasp force could hold
             goal = self._settled
         falls = max(c.release_rate, (self.grasp_force - goal) / c.release_time)
@@ -252,7 +252,7 @@ class SlipResponse:
         self.grasp_force = min(max(goal, low), high, limit)
         return self.grasp_force
 
-    def _startled(
+    def _reflex(
         self, slips: bool, slides: bool, whole: bool, some: bool, limit: float, dt: float
     ) -> float:
         """Return the grasp force that a slip or a lost contact asks for, N; 0 without either."""

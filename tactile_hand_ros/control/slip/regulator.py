@@ -99,7 +99,7 @@ class SlipRegulator:
         weight = finger_weight(load_hand_config(config.hand))
         self._required = RequiredGraspForce(config.reserve, fingers, weight)
         self._response = SlipResponse(config.reflex, config.grasp_force)
-        self._doubted = False
+        self._rejected = False
         self.reset()
 
     def configure(self, config: SlipRegulatorConfig) -> None:
@@ -123,7 +123,7 @@ class SlipRegulator:
         self._response.start(start)
         self.needed = self.ready = math.nan
         self._last_stamp: int | None = None
-        self._has_felt = False  # a grasp, since the reset
+        self._has_grasped = False  # a grasp, since the reset
         self._required.reset()
         self._grasp: Contacts | None = None  # the last with all contacts
         self._last = np.full((self._fingers, 3), np.nan)
@@ -132,14 +132,18 @@ class SlipRegulator:
         self._estimator.reset()
         self.carried = self._carried(np.full((self._fingers, 3, 3), np.nan))
 
-    def reject_touch(self, doubted: bool) -> None:
-        """Take whether touch is doubted, see `Controller.touch_rejected`, from the next tick on."""
-        if doubted and not self._doubted:
+    def reject_touch(self, rejected: bool) -> None:
+        """Ignore touch from the next tick on, or use it again; see `Controller.touch_rejected`.
+
+        Args:
+            rejected: Whether to ignore it.
+        """
+        if rejected and not self._rejected:
             if self._kept:
                 self._estimator.restore(self._kept[0][1])
             self._response.start(self._response.grasp_force)
             self._required.reset()
-        self._doubted = doubted
+        self._rejected = rejected
 
     @property
     def state(self) -> NDArray[np.int64]:
@@ -186,7 +190,7 @@ class SlipRegulator:
         self._last_stamp = stamp
         self._follow_user(dt)
         if contacts is not None and forces is not None:
-            self._feel(stamp, contacts, forces, dt)
+            self._follow_touch(stamp, contacts, forces, dt)
         c = self.config
         goal = self._asked
         if c.mode != "user":
@@ -202,7 +206,7 @@ class SlipRegulator:
         arrives = abs(rate * dt) >= abs(goal - self._asked)
         self._asked = goal if arrives else self._asked + rate * dt
 
-    def _feel(self, stamp: int, contacts: Contacts, measured: Array, dt: float) -> None:
+    def _follow_touch(self, stamp: int, contacts: Contacts, measured: Array, dt: float) -> None:
         """Update slip, friction and the needed grasp force from touch."""
         touching, normals = contacts.touching, contacts.normals
         if not touching.any():
@@ -210,8 +214,8 @@ class SlipRegulator:
         # A sensor that is slower than the loop repeats its sample, which adds nothing.
         fresh, self._last = (measured != self._last).any(axis=1), measured.copy()
         forces = in_palm(contacts.rotations, measured, 1.0)
-        forces[~touching | self._doubted] = np.nan
-        if not self._doubted:
+        forces[~touching | self._rejected] = np.nan
+        if not self._rejected:
             self._keep(stamp)
         parts, at = self._split(contacts, forces)
         grasped = contacts.enough_touching
@@ -242,7 +246,7 @@ class SlipRegulator:
         their internal force, which nothing balances now.
         """
         touching, grasped = contacts.touching, contacts.enough_touching
-        if self._doubted or not touching.any():
+        if self._rejected or not touching.any():
             self._grasp = None
         elif grasped:
             self._grasp = contacts
@@ -276,9 +280,9 @@ class SlipRegulator:
 
         Another regulator may have died with the object in the hand.
         """
-        if not self._has_felt and measured > self._response.grasp_force:
+        if not self._has_grasped and measured > self._response.grasp_force:
             self._response.start(min(measured, self.config.maximum))
-        self._has_felt = True
+        self._has_grasped = True
 
     def _keep(self, stamp: int) -> None:
         """Keep what is known of the friction: what false touch has taught is forgotten."""

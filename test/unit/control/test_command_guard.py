@@ -142,7 +142,7 @@ def test_a_joint_is_too_fast_above_its_limit_and_slow_again_at_four_fifths_of_it
 
 
 def test_a_hold_keeps_inside_the_limits_of_the_joints():
-    made = guard(**{"hold.reserve": 0.0, "hold.squeeze_limit": 0.0})
+    made = guard(**{"hold.reserve": 0.0, "hold.internal_force_limit": 0.0})
     last = follow(made)
     step(made, last)
     far = step(made, last + 1, theta=THETA + 1.0)
@@ -270,7 +270,7 @@ def test_fingers_that_hardly_press_may_be_pulled_anywhere():
     for fraction, reason in ((0.9, ""), (20.0, command_guard.PULLS)):
         weight, made = HAND.gravity_torque(THETA), guard()
         _, presses = split_forces(tip_forces(HAND.fingertips(THETA), TORQUE - weight))
-        share = fraction * HAND.least_force / np.linalg.norm(presses, axis=1).sum()
+        share = fraction * HAND.minimum_force / np.linalg.norm(presses, axis=1).sum()
         for tick in range(6):
             step(made, tick, weight + share * (TORQUE - weight))
         step(made, 6, weight - share * 2.0 * (TORQUE - weight))
@@ -278,7 +278,7 @@ def test_fingers_that_hardly_press_may_be_pulled_anywhere():
 
 
 def test_a_hold_that_goes_on_brakes_where_the_commands_have_brought_the_joints():
-    made, there = guard(**{"hold.reserve": 0.0, "hold.squeeze_limit": 0.0}), THETA + 0.01
+    made, there = guard(**{"hold.reserve": 0.0, "hold.internal_force_limit": 0.0}), THETA + 0.01
     tick = follow(made)
     step(made, tick, refused="a second sender")
     step(made, tick + 1, TORQUE + 1e-6, theta=there)
@@ -309,7 +309,7 @@ def test_a_command_may_be_as_old_as_the_configuration_says(limit):
 
 
 def test_the_posture_of_the_first_held_tick_is_kept():
-    made = guard(**{"hold.reserve": 0.0, "hold.squeeze_limit": 0.0})
+    made = guard(**{"hold.reserve": 0.0, "hold.internal_force_limit": 0.0})
     last = follow(made) - 1
     step(made, last + 4, TORQUE, answers=last)
     pushed = THETA + 0.001

@@ -10,7 +10,7 @@ from tactile_hand_ros.closed_loop.loop import ClosedLoop
 from tactile_hand_ros.control.contact import Contacts
 from tactile_hand_ros.control.controller import Controller, ControllerConfig, Mode
 from tactile_hand_ros.control.laws import Target
-from tactile_hand_ros.control.targets import MOST_WAITING
+from tactile_hand_ros.control.targets import MAX_WAITING
 from tactile_hand_ros.errors import GraspError, PoseError
 from tactile_hand_ros.rotations import rotation_from_quaternion, rotation_from_vector
 from tactile_hand_ros.scenario.scenario import load_scenario
@@ -89,7 +89,7 @@ def test_of_several_targets_the_latest_due_one_counts(bench):
 
 def test_of_too_many_waiting_targets_the_earliest_are_dropped_and_counted(bench):
     bench.step()
-    for tick in range(MOST_WAITING, 0, -1):
+    for tick in range(MAX_WAITING, 0, -1):
         bench.controller.command(bench.target(1e-5 * tick, 0.0, 0.0), stamp=(tick + 2) * TICK)
     assert bench.controller.dropped == 0
     for _ in range(2):

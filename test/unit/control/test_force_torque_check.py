@@ -240,7 +240,7 @@ def frozen(change, stamps, joint=3, latency=0.0):
     return verdicts(seen, 1e3, latency=latency)
 
 
-LEAST = PLANT.hand.least_force * PLANT.hand.spans[1]
+LEAST = PLANT.hand.minimum_force * PLANT.hand.spans[1]
 LIMIT = LEAST + 0.05 * np.abs(torque(FORCES)[3:6]).max()
 
 

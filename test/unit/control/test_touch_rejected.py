@@ -7,7 +7,7 @@ from support.controllers import REST, TICK, Bench
 
 from tactile_hand_ros.control.contact import in_palm, joint_torques
 from tactile_hand_ros.control.controller import Mode
-from tactile_hand_ros.control.targets import MOST_CHECKED, MOST_WAITING
+from tactile_hand_ros.control.targets import MAX_CHECKED, MAX_WAITING
 from tactile_hand_ros.errors import PoseError
 
 FORCES = np.array([[0.3, 4.0, -0.2], [0.1, 2.5, 0.6], [-0.4, 3.0, 0.5]])
@@ -213,7 +213,7 @@ def test_a_tick_integrates_at_most_fifty_milliseconds_and_nothing_backwards():
 
 
 def test_a_thousand_poses_may_wait_and_one_is_judged_in_a_tick_or_a_silence():
-    assert (MOST_WAITING, MOST_CHECKED) == (1000, 1)
+    assert (MAX_WAITING, MAX_CHECKED) == (1000, 1)
     bench = Bench()
     bench.step()
     far = bench.target(0.0, 0.0, 2.0)

@@ -149,7 +149,7 @@ def test_what_lasts_is_learned_as_noise_and_short_slips_are_not():
     assert (told[:300] == SLIP).any() and not (told[-1000:] == SLIP).any()
 
 
-@pytest.mark.parametrize("values", [{"least_noise": 0.1}, {"relative_noise": 0.02}])
+@pytest.mark.parametrize("values", [{"minimum_noise": 0.1}, {"relative_noise": 0.02}])
 def test_vibration_below_the_least_of_a_skin_is_never_slip(values):
     forces = slips_once(rms=0.06)
     assert (run(forces) == SLIP).any()

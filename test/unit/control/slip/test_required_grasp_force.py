@@ -15,7 +15,7 @@ SHARES = np.array([0.5, 0.2, 0.3])
 SHAPE = np.array([[0.0, 0.475, 0.0], [0.0, 0.475, 0.0], [0.0, 0.05, 0.0]])
 WEIGHT = np.array([[0.0, 0.0, 1.0], [0.0, 0.0, 1.0], [0.0, 0.0, 0.0]])
 DT = 0.001
-NO_RESERVE = ReserveConfig(floor=0.0, share=0.0)
+NO_RESERVE = ReserveConfig(floor=0.0, fraction=0.0)
 UP = np.tile([0.0, 1.0, 0.0], (3, 1))
 
 
@@ -142,7 +142,7 @@ def test_with_a_reserve_every_load_within_its_radius_finds_the_grasp_force_ready
 
 
 def test_the_reserve_follows_the_largest_load_of_the_recent_past():
-    need = required(floor=0.0, share=0.3)
+    need = required(floor=0.0, fraction=0.3)
     for _ in range(100):
         step(need, felt(5.0 * WEIGHT, 6.0 * SHAPE))
     soon = np.diff(step(need, felt(WEIGHT, 6.0 * SHAPE), dt=0.2))
@@ -177,7 +177,7 @@ def test_of_a_grasp_that_is_not_whole_only_the_load_is_followed():
 
 
 def test_the_margin_of_load_is_the_larger_of_its_floor_and_a_fraction_of_the_recent_load():
-    need = required(floor=0.6, share=0.5)
+    need = required(floor=0.6, fraction=0.5)
     load = np.array([[0.3, 0.0, 0.4], [0.0, 0.1, 0.0], [0.0, 0.0, 4.0]])
     step(need, felt(load, 6.0 * SHAPE), dt=0.0)
     np.testing.assert_allclose(need.reserve, [0.25, 0.2, 2.0])
@@ -196,7 +196,7 @@ def reserves(need, ticks, load=CARRIED, first=0):
 
 def test_the_reserve_of_a_new_grasp_rises_over_its_time():
     """In even steps, from nothing to all of it, and the need is there immediately."""
-    need = required(floor=3.0, share=0.0)
+    need = required(floor=3.0, fraction=0.0)
     needed, ready = reserves(need, 200).T
     full = reserves(at_once(floor=3.0), 200)[:, 1]
     np.testing.assert_array_equal(needed, reserves(fresh(), 200)[:, 0])
@@ -220,7 +220,7 @@ def test_a_load_that_comes_before_the_reserve_is_answered_as_fast_as_one_that_co
 
 def test_what_is_there_of_a_reserve_never_rises_slowly_again_while_the_grasp_lasts():
     """After its time another load, and another radius, count immediately."""
-    need, at = required(), at_once(share=0.2)
+    need, at = required(), at_once(fraction=0.2)
     for each in (need, at):
         reserves(each, 101)
     first = [reserves(each, 50, 9.0 * CARRIED, first=101) for each in (need, at)]
