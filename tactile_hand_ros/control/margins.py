@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How far the assumptions A1 to A7 are from breaking, from joints and touch alone.
+"""Margins of the assumptions A1 to A7, from joints and touch alone.
 
-A margin is positive while its assumption holds; where touch knows no limit (A1, A3) it is the
-quantity itself.
+A margin is positive while its assumption holds. Where touch cannot measure a limit (A1, A3) it is
+the quantity itself.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ from tactile_hand_ros.control.contact import Contacts, hand_jacobian
 from tactile_hand_ros.control.grasp import collinearity_margin, joint_margin, net_wrench
 from tactile_hand_ros.control.slip.detector import ContactState
 
-if TYPE_CHECKING:  # the regulator watches margins too, and loads no model of the hand
+if TYPE_CHECKING:  # the regulator computes margins, too, without a model of the hand
     from tactile_hand_ros.hand.hand import Hand
 
 Array = NDArray[np.float64]
 
 REACTION = 0.02
-"""Time within which slip prevention must have ended a slip (A6) [s]."""
+"""Time within which slip prevention must stop a slip (A6) [s]."""
 
 
 TIP = np.array([1.0, 0.0, 0.0])
@@ -43,12 +43,17 @@ def local_normals(normals: Array, tips: Array) -> Array:
 
 
 def angles_between(a: Array, b: Array) -> Array:
-    """Return the angles between unit vectors, shape (...), rad."""
+    """Return the angles between unit vectors, shape (...), rad.
+
+    Args:
+        a: Unit vectors, shape (..., 3).
+        b: Unit vectors in the same frame, shape (..., 3).
+    """
     return np.asarray(np.arccos(np.clip((a * b).sum(axis=-1), -1.0, 1.0)))
 
 
 def cone_distances(forces: Array, learned_friction: Array) -> Array:
-    """Return mu f_n - |f_t| of each contact, how far it is inside its friction cone, N.
+    """Return the distance of each force inside its friction cone, mu f_n - |f_t|, N.
 
     Args:
         forces: Contact forces in contact frames, shape (..., k, 3), N.

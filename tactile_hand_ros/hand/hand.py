@@ -61,19 +61,23 @@ def tip_jacobians(
 
 
 def mirrored(upper: Array) -> Array:
-    """Return the symmetric matrix of which the upper triangle is given, shape (m, m)."""
+    """Return the symmetric matrix of an upper triangle, shape (m, m).
+
+    Args:
+        upper: Matrix whose upper triangle counts, shape (m, m).
+    """
     return np.triu(upper) + np.triu(upper, 1).T
 
 
 class RawDynamics(NamedTuple):
-    """Dynamics of the hand as Pinocchio has computed them.
+    """Dynamics of the hand in the form of Pinocchio.
 
     Attributes:
         centers: Fingertip centers, palm frame, shape (k, 3), m.
         spatial: Velocities of the bodies at the palm's origin per joint rate, linear above angular,
             palm axes, shape (6, m).
         support: Which joints move which tip, shape (k, m).
-        inertia: M_h, of which Pinocchio promises the upper triangle only, shape (m, m).
+        inertia: Upper triangle of M_h, shape (m, m).
         bias: C_h theta' + N_h, shape (m,), N m.
     """
 
@@ -97,11 +101,11 @@ class Hand:
         effort_limits: Largest torque of each joint, shape (m,), N m; infinite where unset.
         velocity_limits: Largest speed of each joint, shape (m,), rad/s; infinite where unset.
         position_limits: Lowest and highest joint angles, two arrays of shape (m,), rad.
-        bases: Where the first joint of each finger is, palm frame, shape (k, 3), m.
-        spans: How far each fingertip can ever be from there, shape (k,), m.
+        bases: First joint of each finger, palm frame, shape (k, 3), m.
+        spans: Largest distance of each fingertip from there, shape (k,), m.
         finger_mass: Mean mass of a finger, kg.
         finger_weight: Its weight on Earth, N.
-        minimum_force: A hundredth of a finger's weight, N: fingers that press less hold nothing.
+        minimum_force: A hundredth of a finger's weight, N; below it a grasp does not count.
     """
 
     def __init__(
@@ -118,8 +122,8 @@ class Hand:
             config: Names of the URDF, fingers and tips.
             layout: Name of the layout; empty for the default one.
             gravity: Acceleration of gravity in the palm frame, shape (3,), m/s^2; default none.
-            link_lengths: Lengths of the links against those of the URDF, which stays as it is.
-            tip_radii: Radii of the fingertips against those of the YAML.
+            link_lengths: Factor of the link lengths of the URDF.
+            tip_radii: Factor of the fingertip radii of the YAML.
 
         Raises:
             HandModelError: If the URDF is missing or broken, or lacks a named link or joint.
@@ -133,7 +137,7 @@ class Hand:
         self._data = self._model.createData()
         self._tips = [_tip_frame(self._model, f.tip, f.name) for f in config.fingers]
         self._support = _support(self._model, self._tips)
-        # Views of what Pinocchio writes.
+        # Views of the arrays that Pinocchio overwrites.
         self._spatial, self._inertia, self._bias = self._data.J, self._data.M, self._data.nle
         self._centers = [self._data.oMf[frame].translation for frame in self._tips]
         self._turned: pin.Model | None = None  # with a palm that moves
@@ -165,13 +169,25 @@ class Hand:
         link_lengths: float = 1.0,
         tip_radii: float = 1.0,
     ) -> Hand:
-        """Load a hand by name (``paper``) or by the path of its YAML file."""
+        """Load a hand.
+
+        Args:
+            name: Name, such as ``paper``, or path of a YAML file.
+            layout: As in the constructor, like the rest.
+            gravity: Palm frame, shape (3,), m/s^2.
+            link_lengths: Factor.
+            tip_radii: Factor.
+
+        Returns:
+            The hand.
+        """
         return cls(load_hand_config(name), layout, gravity, link_lengths, tip_radii)
 
     def part(self, chosen: NDArray[np.bool_]) -> Hand:
-        """Return the hand with some of its fingers, by a mask of shape (k,), and all its joints.
+        """Return the hand with some of its fingers and all its joints; gravity is common to both.
 
-        Both share one model, so that they have the same gravity.
+        Args:
+            chosen: Mask of the fingers, shape (k,).
         """
         if chosen.all():
             return self
@@ -194,7 +210,7 @@ class Hand:
         self._model.gravity.linear = gravity
 
     def fingertips(self, theta: Array) -> Fingertips:
-        """Return tip centers and Jacobians, equation (1).
+        """Return fingertip centers and Jacobians, equation (1).
 
         Args:
             theta: Joint angles, shape (m,), rad.
@@ -203,7 +219,11 @@ class Hand:
         return self._read_fingertips()
 
     def tip_positions(self, theta: Array) -> Array:
-        """Return the centers of the fingertips alone, shape (k, 3), m."""
+        """Return the centers of the fingertips, palm frame, shape (k, 3), m.
+
+        Args:
+            theta: Joint angles, shape (m,), rad.
+        """
         pin.forwardKinematics(self._model, self._data, theta)
         return self._read_centers()
 
@@ -233,7 +253,7 @@ class Hand:
         return tips, mirrored(inertia), bias.copy()
 
     def raw_dynamics(self, theta: Array, rates: Array) -> RawDynamics:
-        """Return what `dynamics` is made of, in arrays that the next call overwrites.
+        """Return the raw arrays of `dynamics`, which the next call overwrites.
 
         Args:
             theta: Joint angles, shape (m,), rad.
@@ -247,7 +267,7 @@ class Hand:
         return RawDynamics(centers, self._spatial, self._support, self._inertia, self._bias)
 
     def turning_torque(self, theta: Array, rates: Array, spin: Array, acceleration: Array) -> Array:
-        """Return the torques that a turning palm takes of the joints, shape (m,), N m.
+        """Return the joint torques that balance the turning of the palm, shape (m,), N m.
 
         Args:
             theta: Joint angles, shape (m,), rad.
@@ -268,24 +288,45 @@ class Hand:
         return np.asarray((moved - pin.rnea(model, data, at, still, np.zeros(len(still))))[6:])
 
     def gravity_torque(self, theta: Array) -> Array:
-        """Return the torques that hold the links against gravity, shape (m,), N m."""
+        """Return the torques that hold the links against gravity, shape (m,), N m.
+
+        Args:
+            theta: Joint angles, shape (m,), rad.
+        """
         return np.array(pin.computeGeneralizedGravity(self._model, self._data, theta))
 
     def kinetic_energy(self, theta: Array, rates: Array) -> float:
-        """Return the kinetic energy of the links in J."""
+        """Return the kinetic energy of the links, J.
+
+        Args:
+            theta: Joint angles, shape (m,), rad.
+            rates: Joint rates, shape (m,), rad/s.
+        """
         return float(pin.computeKineticEnergy(self._model, self._data, theta, rates))
 
     def potential_energy(self, theta: Array) -> float:
-        """Return the potential energy of the links in J."""
+        """Return the potential energy of the links, J.
+
+        Args:
+            theta: Joint angles, shape (m,), rad.
+        """
         return float(pin.computePotentialEnergy(self._model, self._data, theta))
 
     def tip_rotations(self, theta: Array) -> Array:
-        """Return the frames of the tip links, which point along their x axes, shape (k, 3, 3)."""
+        """Return the frames of the tip links, with x along the link, palm frame, shape (k, 3, 3).
+
+        Args:
+            theta: Joint angles, shape (m,), rad.
+        """
         pin.framesForwardKinematics(self._model, self._data, theta)
         return np.array([self._data.oMf[frame].rotation for frame in self._tips])
 
     def joint_positions(self, theta: Array) -> list[list[Array]]:
-        """Return the chain of joint and tip positions of every finger, for drawings, m."""
+        """Return joint and tip positions along every finger, palm frame, each of shape (3,), m.
+
+        Args:
+            theta: Joint angles, shape (m,), rad.
+        """
         pin.framesForwardKinematics(self._model, self._data, theta)
         return [self._chain(frame) for frame in self._tips]
 
@@ -299,7 +340,7 @@ class Hand:
 
 
 def _stretch(model: pin.Model, factor: float) -> None:
-    """Make all links longer or shorter: what moves with a joint, not where fingers are mounted."""
+    """Scale all links that move with a joint; the places of the fingers stay."""
     for joint in range(1, model.njoints):
         model.inertias[joint].lever = factor * model.inertias[joint].lever
         if model.parents[joint] > 0:
@@ -322,9 +363,9 @@ def _support(model: pin.Model, tips: list[int]) -> NDArray[np.bool_]:
 
 
 def _reaches(model: pin.Model, tips: list[int]) -> tuple[Array, Array]:
-    """Return the places of the fingers' first joints, shape (k, 3), and their lengths, (k,), m.
+    """Return the fingers' first joints, shape (k, 3), and largest lengths, shape (k,), m.
 
-    A finger is at most as long as its links one after the other; a joint that slides adds its way.
+    A finger is at most as long as the sum of its links and the travels of its sliding joints.
     """
     bases, spans = np.empty((len(tips), 3)), np.empty(len(tips))
     travels = np.maximum(np.abs(model.lowerPositionLimit), np.abs(model.upperPositionLimit))
@@ -360,7 +401,7 @@ def _model(description: str, config: HandConfig) -> pin.Model:
 
 
 def _check_inertia(model: pin.Model, urdf: str) -> None:
-    """Refuse joints that move nothing heavy: M_h of equation (3) must have an inverse.
+    """Check that M_h of equation (3) has an inverse.
 
     Raises:
         HandModelError: If M_h is not positive definite.

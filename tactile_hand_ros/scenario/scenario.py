@@ -148,8 +148,8 @@ class Scenario(Config):
         if hold > limit:
             raise ValueError(
                 f"plant.guard.hold.internal_force_limit = {hold:g} N is above "
-                f"slip_regulator.maximum = {limit:g} N; lower it, or leave it out to take over that "
-                "limit"
+                f"slip_regulator.maximum = {limit:g} N; lower it, or leave it out to take over "
+                "that limit"
             )
         return self
 

@@ -19,11 +19,11 @@ from tactile_hand_ros.simulation.skin import CalibrationConfig
 from tactile_hand_ros.simulation.solid import ConvexPolyhedron
 
 _MAX_GYRATION = 10.0  # radius of gyration, relative to the reach of the object
-_MAX_VERTICES = 500  # each contact is looked for on all faces, at each step
+_MAX_VERTICES = 500  # each step searches all faces for each contact
 
 
 class ObjectConfig(Config):
-    """The object in the hand: shape, mass and where it starts."""
+    """The object in the hand: shape, mass and initial pose."""
 
     size: Vector = param(
         (0.2604, 0.2604, 0.2604), "edges of a box, used without vertices", unit="m"
@@ -59,9 +59,9 @@ class ObjectConfig(Config):
         return self
 
     def _check_inertia(self) -> None:
-        """Refuse an inertia that no body has, or none of this size and mass comes near.
+        """Reject an inertia that is impossible, or far too large for this size and mass.
 
-        The paper's object has four times what a body of its size can have.
+        The paper's object has four times the inertia that a body of its size can have.
         """
         if len(self.inertia) != 3 or min(self.inertia) <= 0.0:
             raise ValueError(
@@ -97,7 +97,7 @@ class ObjectConfig(Config):
         """Return the inertia of a shape about the object's axes, shape (3, 3), kg m^2.
 
         Raises:
-            ObjectModelError: If it is to be that of a uniform body whose center is elsewhere.
+            ObjectModelError: If a uniform body has its center of mass elsewhere.
         """
         if self.inertia:
             return np.diag(self.inertia)
@@ -109,17 +109,17 @@ class Disturbance(Config):
 
     kind: Literal["step", "ramp", "pulse", "sine"] = param(
         "step",
-        "step stays, ramp rises for its duration and stays, pulse ends after its duration, sine "
-        "swings for its duration",
+        "step stays, ramp rises for its duration and stays, pulse stops after its duration, sine "
+        "oscillates for its duration",
     )
-    start: float = param(0.0, "when it begins", unit="s", ge=0.0)
+    start: float = param(0.0, "when it starts", unit="s", ge=0.0)
     duration: float = param(0.1, "how long a ramp, pulse or sine lasts", unit="s", gt=0.0)
     frequency: float = param(1.0, "frequency of a sine", unit="Hz", gt=0.0)
     force: Vector = param((0.0, 0.0, 0.0), "force, the amplitude of a sine", unit="N")
     torque: Vector = param((0.0, 0.0, 0.0), "torque, the amplitude of a sine", unit="N m")
 
     def factor(self, time: float) -> float:
-        """Return the share of force and torque that acts at a time in s."""
+        """Return the fraction of force and torque that acts at a time in s."""
         since = time - self.start
         if since < 0.0 or (self.kind in ("pulse", "sine") and since >= self.duration):
             return 0.0
@@ -139,10 +139,10 @@ def external_wrench(disturbances: Sequence[Disturbance], time: float) -> NDArray
 
 
 class FrictionChange(Config):
-    """The object's surface becomes another from some time on, by water say."""
+    """A change of the object's friction, as by water."""
 
     start: float = param(..., "when it changes", unit="s", ge=0.0)
-    friction: float = param(..., "Coulomb friction mu from then on", ge=0.0)
+    friction: float = param(..., "new Coulomb friction mu", ge=0.0)
 
 
 class PlantConfig(Config):
@@ -173,8 +173,8 @@ class PlantConfig(Config):
     )
     busy_wait: float = param(
         0.0,
-        "in real time, how long before each tick to stop sleeping and watch the clock: less jitter"
-        " for processor time; at most half a tick",
+        "in real time, time before each tick spent in a busy wait: less jitter for more processor "
+        "time; at most half a tick",
         unit="s",
         ge=0.0,
         le=0.01,
@@ -182,7 +182,7 @@ class PlantConfig(Config):
     duration: float = param(
         0.0, "simulated time after which the plant stops; 0 for never", unit="s", ge=0.0
     )
-    autostart: bool = param(True, "run at once; otherwise wait for the run service")
+    autostart: bool = param(True, "run immediately; otherwise wait for the run service")
     command_timeout: float = param(
         1.0,
         "silence in lockstep after which the joints are held; in real time see guard.age_limit",

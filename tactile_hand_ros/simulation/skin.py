@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The simulated tactile sensor: true contacts in, what a skin would report out."""
+"""The simulated tactile sensor: turns true contacts into the report of a skin."""
 
 from __future__ import annotations
 
@@ -23,28 +23,28 @@ from tactile_hand_ros.rotations import (
     rows_of_quaternions,
 )
 
-if TYPE_CHECKING:  # a skin that is right does without the model
+if TYPE_CHECKING:  # only a wrong calibration needs the model
     from tactile_hand_ros.hand.hand import Hand
 
 Array = NDArray[np.float64]
 
 
 class VibrationConfig(Config):
-    """Micro-vibration that a skin picks up while a contact slides (Johansson and Westling 1987)."""
+    """Micro-vibration of the force at a sliding contact (Johansson and Westling 1987)."""
 
     gain: float = param(
         0.0, "rms force per sliding speed, for slow sliding", unit="N s/m", live=True, ge=0.0
     )
-    limit: float = param(0.2, "rms force that fast sliding tends to", unit="N", live=True, gt=0.0)
+    limit: float = param(0.2, "rms force in the limit of fast sliding", unit="N", live=True, gt=0.0)
     low: float = param(60.0, "lower edge of the band", unit="Hz", gt=0.0)
     high: float = param(400.0, "upper edge of the band", unit="Hz", gt=0.0)
 
 
 class CalibrationConfig(Config):
-    """What the hand knows wrongly of itself, the same for all fingers; by default nothing.
+    """Errors of the hand's model, the same for all fingers; none by default.
 
-    The plant has the true hand. Everything else, the skin's driver among them, works with the
-    model: a contact is reported where the model says that fingertip is.
+    The plant has the true hand. All else works with the model, including the driver of the skin:
+    it reports a contact on the fingertip of the model.
     """
 
     link_lengths: float = param(
@@ -55,18 +55,18 @@ class CalibrationConfig(Config):
     )
     skin_rotation: Vector = param(
         (0.0, 0.0, 0.0),
-        "rotation vector by which skins report contacts turned, axes of the fingertip",
+        "rotation vector of the reported contacts against the true ones, axes of the fingertip",
         unit="rad",
     )
     gravity_rotation: Vector = param(
         (0.0, 0.0, 0.0),
-        "rotation vector of true gravity against the one that the hand knows, palm axes",
+        "rotation vector of true gravity against that of the model, palm axes",
         unit="rad",
     )
 
     @property
     def is_right(self) -> bool:
-        """Whether the hand knows everything as it is."""
+        """Whether the model has no errors."""
         lengths = self.link_lengths == self.tip_radii == 1.0
         return lengths and not np.any([self.skin_rotation, self.gravity_rotation])
 
@@ -115,10 +115,10 @@ class TactileSensorConfig(Config):
 
 @dataclass(frozen=True)
 class TactileReading:
-    """What the skin reports, as it travels on topics.
+    """A report of the skin, in the form of topics.
 
     Attributes:
-        positions: Contact points in the palm frame, shape (k, 3), m; NaN where there is none.
+        positions: Contact points in the palm frame, shape (k, 3), m; NaN without a contact.
         quaternions: Contact frames C_i in the palm frame (x, y, z, w), shape (k, 4).
         forces: Forces on the object in C_i, shape (k, 3), N.
     """
@@ -136,11 +136,11 @@ class TactileReading:
 def miscalibrated(
     config: CalibrationConfig, model: Hand, theta: Array, true: TactileReading
 ) -> TactileReading:
-    """Return contacts p = p_f + r n and forces with the model p_f and r and a turned n.
+    """Return contacts p = p_f + r n and forces, with p_f and r of the model and a turned n.
 
     Args:
         config: The errors.
-        model: The hand as its controllers know it.
+        model: The hand of the controllers.
         theta: Joint angles, shape (m,), rad.
         true: The true contacts.
     """
@@ -168,12 +168,11 @@ _MEMORY = np.dtype(
 
 
 class TactileSensor:
-    """Samples true contacts as a skin would, all from one seed.
+    """Samples true contacts like a skin, with one seed.
 
-    A force passes, in this order: vibration while the contact slides, the skin's bandwidth, the
-    drifting zero, white noise, resolution, dropout and latency. A skin that is faster than the
-    ticks takes all its samples of a vibration, at its own rate, and a tick reads the newest; what
-    is true is known at ticks only, and stands for the samples since the last one.
+    A force passes these stages: vibration while the contact slides, bandwidth, drift of the zero,
+    white noise, resolution, dropout and latency. A skin that is faster than the ticks samples the
+    vibration at its own rate, and the true contacts of a tick hold since the last tick.
     """
 
     def __init__(
@@ -187,7 +186,7 @@ class TactileSensor:
         Args:
             config: Its parameters.
             radii: Radii of the fingertips, shape (k,), m.
-            model: The hand as its controllers know it; only needed where its calibration is wrong.
+            model: The hand of the controllers; only needed with a wrong calibration.
         """
         self._radii = np.asarray(radii, dtype=float)
         self._model = None if config.calibration.is_right else model
@@ -196,7 +195,7 @@ class TactileSensor:
         self.reset()
 
     def configure(self, config: TactileSensorConfig) -> None:
-        """Take other noise while running; seed, rate, latency and filters stay."""
+        """Change the noise while running; seed, rate, latency and filters stay."""
         self.config = config
         self._numbers = row_of(config)
 
@@ -209,7 +208,7 @@ class TactileSensor:
         self._waiting: deque[tuple[int, TactileReading]] = deque()
         self._memory: Rows = np.zeros(k, _MEMORY)
         self._memory["measured"] = self._memory["arm"] = np.nan
-        self._unread = np.random.default_rng([c.seed, 1])  # of samples that no tick reads
+        self._unread = np.random.default_rng([c.seed, 1])  # of samples between ticks
         band = c.vibration.low, c.vibration.high
         self._rumble = BandNoise((k, 3), *band, c.rate, c.bandwidth)
 
@@ -220,7 +219,7 @@ class TactileSensor:
         sliding: Array | None = None,
         theta: Array | None = None,
     ) -> TactileReading:
-        """Return what is published at a tick.
+        """Return the published report of a tick.
 
         Args:
             stamp: The tick, ns.
@@ -237,7 +236,7 @@ class TactileSensor:
             self._sample = sample
             self._waiting.append((stamp, self._measure(true, sliding, elapsed, count)))
         due = stamp - round(self.config.latency * 1e9)
-        # The first sample stands in for what was before it.
+        # The first sample replaces those before it.
         while self._held is None or (self._waiting and self._waiting[0][0] <= due):
             self._held = self._waiting.popleft()[1]
         return self._held
@@ -247,7 +246,7 @@ class TactileSensor:
     ) -> TactileReading:
         """Return the newest of a number of samples."""
         k = len(self._radii)
-        # Drawn for every finger at every sample: one finger's draws leaves the others' alone.
+        # Drawn for every finger at every sample, so that fingers do not affect each other.
         white = self._random.standard_normal((4, k, 3))
         draws = self._random.random(k)
         if self.config.vibration.gain > 0.0:
@@ -292,7 +291,7 @@ def _measured(
         measured[i] += _vibration(c, sliding[i]) * noise[1, i]
     is_displaced = c["location_noise"] > 0.0 or c["location_resolution"] > 0.0
     if is_displaced or c["bandwidth"] > 0.0 or c["bias_drift"] > 0.0:
-        # A force is one vector, in whatever frame it is reported.
+        # In one frame, since the reported contact frame moves.
         measured = in_palm(rows_of_quaternions(quaternions).reshape(-1, 3, 3), measured, 1.0)
         _follow(memory, c, measured, noise[2], elapsed)
         if is_displaced:
@@ -309,7 +308,7 @@ def _measured(
 
 @compiled
 def _follow(memory: Rows, c: Row, forces: Array, white: Array, elapsed: float) -> None:
-    """Give forces, palm axes, the skin's bandwidth and drift; without a contact, NaN, it rests."""
+    """Apply bandwidth and drift to forces in palm axes; without a contact, NaN, they rest."""
     fraction, walk = 1.0, c["bias_drift"] * math.sqrt(elapsed)
     if c["bandwidth"] > 0.0:
         fraction = -math.expm1(-2.0 * math.pi * c["bandwidth"] * elapsed)
@@ -359,7 +358,7 @@ def _displace(
 
 @compiled
 def _settled(m: Row, c: Row, axis: int, arm: float, elapsed: float) -> float:
-    """Low-pass where on the fingertip the contact is; a new contact shows at once."""
+    """Low-pass the place of a contact on its fingertip; a new contact appears immediately."""
     if c["location_bandwidth"] > 0.0:
         fraction = 1.0 - math.exp(-2.0 * math.pi * c["location_bandwidth"] * elapsed)
         before = m["arm"][axis]
@@ -384,14 +383,14 @@ class BandNoise:
     def __init__(
         self, shape: tuple[int, int], low: float, high: float, rate: float, bandwidth: float
     ) -> None:
-        """Start at rest; frequencies above half the rate count as half the rate.
+        """Start at rest; frequencies are limited to half the rate.
 
         Args:
             shape: Shape of a sample.
             low: Lower edge of the band, Hz.
             high: Upper edge of the band, Hz.
             rate: Samples per second, Hz.
-            bandwidth: Corner frequency of what the noise is led through next, 0 for none, Hz.
+            bandwidth: Corner frequency of the next low-pass, 0 for none, Hz.
         """
         nyquist = 0.5 * rate
         self._pass = 1.0 - math.exp(-2.0 * math.pi * min(high, nyquist) / rate)
@@ -404,10 +403,10 @@ class BandNoise:
         self._smooth, self._slow = np.zeros(shape), np.zeros(shape)
 
     def step(self, white: Array) -> Array:
-        """Return the mean of the next samples, each weighted with what the bandwidth leaves of it.
+        """Return the mean of the next samples, weighted by the low-pass of the bandwidth.
 
-        A low-pass that takes this mean for all their time comes out where it would with each of
-        them in turn. A single sample is itself, and without a bandwidth only the newest counts.
+        Held for their time, this mean has the same effect on the low-pass as the samples. Without
+        a bandwidth it is the newest sample.
 
         Args:
             white: White noise of unit variance, shape (n, *shape), oldest first.

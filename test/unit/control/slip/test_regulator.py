@@ -17,7 +17,7 @@ from tactile_hand_ros.rotations import rotation_from_vector
 
 UNKNOWN, STICK, SLIP = ContactState.UNKNOWN, ContactState.STICK, ContactState.SLIP
 TICK = 2_000_000
-NO_RESERVE = {"floor": 0.0, "share": 0.0}
+NO_RESERVE = {"floor": 0.0, "fraction": 0.0}
 
 
 def regulator(**values):
@@ -263,7 +263,7 @@ def thin(margin):
 def test_what_is_carried_is_the_load_in_contact_frames_usable_friction_and_a_reserve(mode):
     """The load by the pseudoinverse of G~ in contact frames."""
     grasp = moved(three_faces(), rotation_from_vector([0.4, -1.1, 0.7]), np.array([0.1, 0.0, 0.3]))
-    slip = regulator(mode=mode, reserve={"share": 0.5}, reflex={"margin": 0.25})
+    slip = regulator(mode=mode, reserve={"fraction": 0.5}, reflex={"margin": 0.25})
     found, balance = carried(slip, grasp, FELT), balance_in_frames(grasp)
     expected = (np.linalg.pinv(balance) @ balance @ FELT.ravel()).reshape(-1, 3)
     np.testing.assert_allclose(found.load, expected, atol=1e-12)

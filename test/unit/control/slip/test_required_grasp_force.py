@@ -123,7 +123,7 @@ def test_the_law_does_not_depend_on_the_rate_of_the_ticks(rate):
 
 def at_once(**reserve):
     """Return a need whose reserve is there from the next sample on."""
-    need = required(**{"share": 0.0, **reserve})
+    need = required(**{"fraction": 0.0, **reserve})
     step(need, felt(0.0 * WEIGHT, 6.0 * SHAPE), dt=1.0)
     return need
 
