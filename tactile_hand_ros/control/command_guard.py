@@ -51,21 +51,13 @@ class GuardConfig(Config):
     age_limit: int = param(
         3, "ticks by which a command may be older than the newest tick", unit="ticks", ge=0, le=1000
     )
-    torque_rate: float = param(
-        0.0, "fastest change of a commanded torque, 0 for any", unit="N m/s", ge=0.0
-    )
+    torque_rate: float = param(0.0, "fastest change of a torque, 0 for any", unit="N m/s", ge=0.0)
     speed_limit: float = param(
         0.0, "joint speed from which the joints are held, 0 for the URDF's", unit="rad/s", ge=0.0
     )
-    blend_time: float = param(
-        0.02, "time in which commands take over from a hold", unit="s", gt=0.0, le=10.0
-    )
+    blend_time: float = param(0.02, "duration of a takeover", unit="s", gt=0.0, le=10.0)
     patience: float = param(
-        0.05,
-        "time of good commands before they take over, if holds follow each other",
-        unit="s",
-        ge=0.0,
-        le=10.0,
+        0.05, "time of good commands that stops a series of holds", unit="s", ge=0.0, le=10.0
     )
     hold: GuardHoldConfig = GuardHoldConfig()
 

@@ -50,9 +50,7 @@ _LONGEST_PERIOD = 0.01  # s between ticks, assumed before the second tick
 class PostureHoldConfig(Config):
     """Delay and resolution of the hold; with the tick period they limit its stiffness."""
 
-    latency: int = param(
-        3, "ticks by which a torque may act late", unit="ticks", live=True, ge=0, le=100
-    )
+    latency: int = param(3, "largest delay of a torque", unit="ticks", live=True, ge=0, le=100)
     resolution: float = param(
         0.0, "error of a measured joint angle, 0 if exact", unit="rad", live=True, ge=0.0, le=0.1
     )
@@ -77,12 +75,7 @@ class ControllerConfig(Config):
         live=True,
     )
     reference_time: float = param(
-        0.4,
-        "time constant with which the hand follows a new desired pose, 0 for immediately",
-        unit="s",
-        live=True,
-        ge=0.0,
-        le=60.0,
+        0.4, "time constant to a new desired pose, 0 for none", unit="s", live=True, ge=0.0, le=60.0
     )
     hold: PostureHoldConfig = PostureHoldConfig()
     regrasp: RegraspConfig = RegraspConfig()
@@ -109,9 +102,7 @@ class ControllerConfig(Config):
         ge=0.0,
         le=0.5,
     )
-    grasp_force_limit: float = param(
-        0.0, "largest k_f that is accepted, 0 for any", unit="N", live=True, ge=0.0
-    )
+    grasp_force_limit: float = param(0.0, "largest k_f, 0 for any", unit="N", live=True, ge=0.0)
     input_timeout: float = param(
         0.5,
         "silence of touch, f* or k_f, by the stamps of joint states, after which the hand holds",
@@ -422,7 +413,7 @@ class Controller:
             return self._holding(theta, rates, _NOT_FINITE, applied=applied)
         self._enter(Mode.DRIVE, theta)
         self._held = Held(parts.internal, parts.load_compensation, grasp_force)
-        if dt > 0.0:  # the rate of the ticks is known
+        if dt > 0.0:  # the tick rate has been measured
             self._judge_hold(theta, contacts, optimal_forces, grasp_force)
         torque = self._ahead(self._bearable(parts, self._weight(theta)), dt)
         if not self._touching.all():
@@ -438,14 +429,8 @@ class Controller:
     def _closing(self, torque: Array, theta: Array, rates: Array, middle: Array) -> Array:
         """Return torques that close the fingers without contact, shape (m,), N m.
 
-        Their tips move towards the centroid of the contacts at a given speed. An obstacle that the
-        skin does not detect meets only the damping to that speed.
-
-        Args:
-            torque: Torque of the other fingers, shape (m,), N m.
-            theta: Joint angles, shape (m,), rad.
-            rates: Joint rates, shape (m,), rad/s.
-            middle: Centroid of the contacts, shape (3,), m.
+        Their tips move towards the centroid of the contacts, shape (3,), m, at a given speed. An
+        obstacle that the skin does not detect meets only the damping to that speed.
         """
         hand = self.hand.part(~self._touching)
         tips, inertia, bias = hand.dynamics(theta, rates)

@@ -367,9 +367,7 @@ class GuardHoldConfig(Config):
     stopping_time: float = param(
         0.006, "time constant with which moving joints come to rest", unit="s", gt=0.0, le=1.0
     )
-    reserve: float = param(
-        0.2, "fraction by which the grasp force is raised immediately", ge=0.0, le=2.0
-    )
+    reserve: float = param(0.2, "immediate rise of the grasp force, as a fraction", ge=0.0, le=2.0)
     friction: float = param(
         0.2, "friction coefficient assumed for loads that appear during a hold", gt=0.0, le=10.0
     )

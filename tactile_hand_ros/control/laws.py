@@ -44,29 +44,17 @@ class LawConfig(Config):
     )
     folder: str = param("", "folder with the module of your own law; empty for PYTHONPATH")
     k_p: float = param(
-        0.0, "position gain, 0 for one that fits the hand", unit="N/m", live=True, ge=0.0, le=1e4
+        0.0, "position gain, 0 to fit the hand", unit="N/m", live=True, ge=0.0, le=1e4
     )
     k_o: float = param(
-        0.0,
-        "orientation gain, 0 for one that fits the hand",
-        unit="N m/rad",
-        live=True,
-        ge=0.0,
-        le=1e3,
+        0.0, "orientation gain, 0 to fit the hand", unit="N m/rad", live=True, ge=0.0, le=1e3
     )
     damping: float = param(
-        0.0,
-        "joint damping K_c, 0 for one that fits the hand",
-        unit="N m s/rad",
-        live=True,
-        ge=0.0,
-        le=1e2,
+        0.0, "joint damping K_c, 0 to fit the hand", unit="N m s/rad", live=True, ge=0.0, le=1e2
     )
-    k_st: float = param(
-        0.0, "gain of the relative attitude term in (8)", unit="N m/rad", live=True, ge=0.0
-    )
+    k_st: float = param(0.0, "gain of the attitude term in (8)", unit="N m/rad", live=True, ge=0.0)
     r_ref: tuple[float, float, float] = param(
-        (0.0, 0.0, 0.0), "reference of the relative attitude term in (8)", unit="rad", live=True
+        (0.0, 0.0, 0.0), "reference of the attitude term in (8)", unit="rad", live=True
     )
     integral: IntegralConfig = IntegralConfig()
     observer: ObserverConfig = ObserverConfig()
@@ -393,7 +381,7 @@ class KawamuraLaw:
         return np.asarray(np.einsum("kim,ki->m", tips.linear, pull) + attitude)
 
     def drive(self, wrench: Array) -> Array:
-        """Return the torques with which each finger applies the full wrench; see `Law.drive`."""
+        """Return the torques for a full wrench at each finger; see `Law.drive`."""
         tips = self.seen.tips
         moving = np.einsum("kim,i->m", tips.linear, wrench[:3])
         return np.asarray(moving + np.einsum("kim,i->m", tips.angular, wrench[3:]))

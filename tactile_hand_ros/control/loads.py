@@ -66,14 +66,7 @@ def split(points: Array, normals: Array, forces: Array) -> Split:
 
 
 def split_part(points: Array, normals: Array, forces: Array, held: NDArray[np.bool_]) -> Split:
-    """Return the `split` of some contacts; the parts of the others are zero.
-
-    Args:
-        points: As in `split`.
-        normals: As in `split`.
-        forces: As in `split`.
-        held: Mask of the contacts to split, shape (k,).
-    """
+    """Return the `split` of contacts in a mask, shape (k,); the parts of the others are zero."""
     if held.all():
         return split(points, normals, forces)
     parts = split(points[held], normals[held], forces[held])

@@ -65,13 +65,13 @@ def cone_distances(forces: Array, learned_friction: Array) -> Array:
 
 @dataclass(frozen=True)
 class GraspMargins:
-    """What joints and contacts show.
+    """Margins from joints and contacts.
 
     Attributes:
-        face_travel: A1, how far the contacts have wandered over their fingertips since they were
-            first seen, m; an edge of the face is that much nearer, touch shows no more of it.
+        face_travel: A1, largest distance of a contact on its fingertip from its first place, m.
+            An edge of the face may be closer by that distance.
         hemisphere: A2, angle left to the rims of the fingertips, rad.
-        joint: A5, minimum singular value of J_h, m/rad; 0 where a joint posture is singular.
+        joint: A5, minimum singular value of J_h, m/rad; 0 in a singular posture.
         collinearity: A7, second to first extent of the contacts; 0 on a line or with fewer than
             three.
     """
@@ -83,19 +83,19 @@ class GraspMargins:
 
 
 UNKNOWN_MARGINS = GraspMargins(np.nan, np.nan, np.nan, 0.0)
-"""Without contacts: nothing is known, and three contacts off a line (A7) are not there."""
+"""Margins without a grasp: unknown, and A7 broken."""
 
 
 class GraspMonitor:
-    """Computes the margins of a grasp, and remembers where its contacts began."""
+    """Computes the margins of a grasp from its present and first contacts."""
 
     def __init__(self, hand: Hand) -> None:
-        """Watch the contacts of a hand."""
+        """Start without a grasp of a hand."""
         self._hand = hand
         self._first: Array | None = None
 
     def reset(self) -> None:
-        """Begin with a new grasp."""
+        """Start with a new grasp."""
         self._first = None
 
     def margins(self, theta: Array, contacts: Contacts) -> GraspMargins:
@@ -126,13 +126,13 @@ class GraspMonitor:
 
 
 class SlipMonitor:
-    """Worst margins of force and slip since they were last asked for, over every tick.
+    """Worst margins of force and slip over all ticks since the last `clear`.
 
     Attributes:
-        load: A3, largest net contact force, N: weight, acceleration and whatever pulls.
+        load: A3, largest net contact force, N: weight, acceleration and pulls.
         evidence: A4, evidence for slip left before an alarm, 1 to 0.
         cone: A4, minimum distance to a cone of the learned friction, N.
-        time_left: A6, time left to end a slip, s; negative where one has lasted for too long.
+        time_left: A6, time left to stop a slip, s; negative if one has lasted too long.
     """
 
     def __init__(self) -> None:
@@ -145,7 +145,7 @@ class SlipMonitor:
         self.clear()
 
     def clear(self) -> None:
-        """Begin a new interval; a slip continues."""
+        """Start a new interval; a slip continues."""
         self.load = self.evidence = self.cone = np.nan
         self.time_left = REACTION
 
@@ -158,13 +158,13 @@ class SlipMonitor:
         grip: NDArray[np.int_],
         likelihood: Array,
     ) -> None:
-        """Note a tick.
+        """Update the margins with a tick.
 
         Args:
             stamp: The tick, ns.
             contacts: Contacts by touch.
             forces: Measured forces in contact frames, shape (k, 3), N.
-            learned_friction: mu as the regulator has learned it, shape (k,).
+            learned_friction: Learned mu, shape (k,).
             grip: `ContactState` of each contact, shape (k,).
             likelihood: Evidence for slip, 0 to 1, shape (k,).
         """
@@ -194,7 +194,7 @@ def _noted(
     grip: NDArray[np.int_],
     likelihood: Array,
 ) -> tuple[float, float, float, bool]:
-    """Return the worst of margins and a tick, NaN where neither is known, and whether one slips."""
+    """Return the worst of margins and a tick, NaN if both are unknown, and whether one slips."""
     x, y, z = net_wrench(positions, rotations, forces)[:3]
     load, slips = np.fmax(load, math.sqrt(x * x + y * y + z * z)), False
     for i in range(len(grip)):

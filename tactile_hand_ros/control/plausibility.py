@@ -182,12 +182,9 @@ class ForceTorqueCheck:
             self._past.popleft()
 
     def _fits(self, pressed: Array, own: NDArray[np.bool_], tolerance: float) -> bool:
-        """Return whether the measured forces agree with torques of one time.
+        """Return whether the measured forces agree with torques of one time, shape (m,), N m.
 
-        Args:
-            pressed: Torques at that time, shape (m,), N m.
-            own: Which joints move which finger, shape (k, m).
-            tolerance: Largest error of a finger as a fraction.
+        `own` marks the joints of each finger, shape (k, m); the tolerance is a fraction.
         """
         error, torque = (np.sqrt(own @ np.square(x)) for x in (self._measured - pressed, pressed))
         shown = torque + _SPREAD * math.sqrt(pressed @ pressed)

@@ -18,9 +18,7 @@ class RegraspConfig(Config):
     """Distance and speed with which the fingers open and close."""
 
     opening: float = param(0.015, "distance by which the fingertips open", unit="m", gt=0.0, le=0.1)
-    speed: float = param(
-        0.02, "speed of the fingertips while they open or close", unit="m/s", gt=0.0, le=1.0
-    )
+    speed: float = param(0.02, "speed of the opening or closing tips", unit="m/s", gt=0.0, le=1.0)
     overtravel: float = param(
         0.02, "distance beyond the last contacts that the fingers search", unit="m", ge=0.0, le=0.1
     )

@@ -169,18 +169,7 @@ class Hand:
         link_lengths: float = 1.0,
         tip_radii: float = 1.0,
     ) -> Hand:
-        """Load a hand.
-
-        Args:
-            name: Name, such as ``paper``, or path of a YAML file.
-            layout: As in the constructor, like the rest.
-            gravity: Palm frame, shape (3,), m/s^2.
-            link_lengths: Factor.
-            tip_radii: Factor.
-
-        Returns:
-            The hand.
-        """
+        """Return a hand by name (``paper``) or YAML file; for the rest see the constructor."""
         return cls(load_hand_config(name), layout, gravity, link_lengths, tip_radii)
 
     def part(self, chosen: NDArray[np.bool_]) -> Hand:

@@ -19,12 +19,7 @@ class EncoderConfig(Config):
 
     bits: int = param(0, "resolution of a turn, 0 for exact", ge=0, le=32)
     noise: float = param(0.0, "standard deviation of an angle", unit="rad", ge=0.0)
-    rate_cutoff: float = param(
-        100.0,
-        "corner frequency of the filter on the differences of angles that give the rates",
-        unit="Hz",
-        gt=0.0,
-    )
+    rate_cutoff: float = param(100.0, "corner frequency of the rates", unit="Hz", gt=0.0)
 
     @property
     def is_exact(self) -> bool:

@@ -25,26 +25,17 @@ _MAX_VERTICES = 500  # each step searches all faces for each contact
 class ObjectConfig(Config):
     """The object in the hand: shape, mass and initial pose."""
 
-    size: Vector = param(
-        (0.2604, 0.2604, 0.2604), "edges of a box, used without vertices", unit="m"
-    )
+    size: Vector = param((0.2604, 0.2604, 0.2604), "edges of a box, without vertices", unit="m")
     vertices: list[float] = param(
         [], "corners x, y, z of a convex polyhedron", unit="m", max_length=3 * _MAX_VERTICES
     )
     mass: float = param(0.0018, "mass", unit="kg", gt=0.0)
     inertia: list[float] = param(
-        [],
-        "inertia about the object's axes, empty for that of a uniform body",
-        unit="kg m^2",
-        max_length=3,
+        [], "inertia about its axes, empty for a uniform body", unit="kg m^2", max_length=3
     )
     friction: float = param(100.0, "Coulomb friction mu of fingertips on it", live=True, ge=0.0)
-    position: Vector = param(
-        (0.0, 0.0, 0.4098), "center of mass at the start, palm frame", unit="m"
-    )
-    rotation: Vector = param(
-        (0.0, 0.0, 0.0), "rotation vector at the start, palm frame", unit="rad"
-    )
+    position: Vector = param((0.0, 0.0, 0.4098), "initial center of mass, palm frame", unit="m")
+    rotation: Vector = param((0.0, 0.0, 0.0), "initial rotation vector, palm frame", unit="rad")
 
     @model_validator(mode="after")
     def _is_a_body(self) -> ObjectConfig:
@@ -157,9 +148,7 @@ class PlantConfig(Config):
     gravity: Vector = param((0.0, 0.0, 0.0), "acceleration of gravity, palm frame", unit="m/s^2")
     calibration: CalibrationConfig = CalibrationConfig()
     encoder: EncoderConfig = EncoderConfig()
-    effort_noise: float = param(
-        0.0, "standard deviation of a reported joint torque", unit="N m", ge=0.0
-    )
+    effort_noise: float = param(0.0, "standard deviation of joint torques", unit="N m", ge=0.0)
     seed: int = param(1, "seed of everything random", ge=0)
     friction_changes: list[FrictionChange] = param([], "changes of the friction over time")
     disturbances: list[Disturbance] = param([], "external wrenches on the object over time")
@@ -179,9 +168,7 @@ class PlantConfig(Config):
         ge=0.0,
         le=0.01,
     )
-    duration: float = param(
-        0.0, "simulated time after which the plant stops; 0 for never", unit="s", ge=0.0
-    )
+    duration: float = param(0.0, "simulated time of the run, 0 for no end", unit="s", ge=0.0)
     autostart: bool = param(True, "run immediately; otherwise wait for the run service")
     command_timeout: float = param(
         1.0,

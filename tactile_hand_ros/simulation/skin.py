@@ -32,9 +32,7 @@ Array = NDArray[np.float64]
 class VibrationConfig(Config):
     """Micro-vibration of the force at a sliding contact (Johansson and Westling 1987)."""
 
-    gain: float = param(
-        0.0, "rms force per sliding speed, for slow sliding", unit="N s/m", live=True, ge=0.0
-    )
+    gain: float = param(0.0, "rms force per speed of slow sliding", unit="N s/m", live=True, ge=0.0)
     limit: float = param(0.2, "rms force in the limit of fast sliding", unit="N", live=True, gt=0.0)
     low: float = param(60.0, "lower edge of the band", unit="Hz", gt=0.0)
     high: float = param(400.0, "upper edge of the band", unit="Hz", gt=0.0)
@@ -47,11 +45,9 @@ class CalibrationConfig(Config):
     it reports a contact on the fingertip of the model.
     """
 
-    link_lengths: float = param(
-        1.0, "true lengths of all links against those of the URDF", ge=0.5, le=2.0
-    )
+    link_lengths: float = param(1.0, "true link lengths, relative to the URDF", ge=0.5, le=2.0)
     tip_radii: float = param(
-        1.0, "true radii of the fingertips against those of the hand's YAML", ge=0.5, le=2.0
+        1.0, "true fingertip radii, relative to the hand's YAML", ge=0.5, le=2.0
     )
     skin_rotation: Vector = param(
         (0.0, 0.0, 0.0),
@@ -104,11 +100,7 @@ class TactileSensorConfig(Config):
     vibration: VibrationConfig = VibrationConfig()
     latency: float = param(0.0, "age of a sample when it is published", unit="s", ge=0.0, le=1.0)
     dropout: float = param(
-        0.0,
-        "chance that a finger's sample is lost, so that its last is repeated",
-        live=True,
-        ge=0.0,
-        le=1.0,
+        0.0, "chance of a repeated sample, per finger", live=True, ge=0.0, le=1.0
     )
     seed: int = param(1, "seed of everything random", ge=0)
 

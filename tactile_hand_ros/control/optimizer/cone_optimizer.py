@@ -84,14 +84,7 @@ def _fixed_rows(k: int) -> Array:
 
 @compiled
 def _with_numbers(fixed: Problem, balance: Array, friction: Array, beyond: Array) -> Problem:
-    """Return the problem of one tick.
-
-    Args:
-        fixed: The problem without the numbers of the tick.
-        balance: G~^T, shape (3k, 6).
-        friction: Usable mu, shape (k,).
-        beyond: Distance of the load beyond each side of the pyramids, shape (k, SIDES).
-    """
+    """Return the problem with G~^T, (3k, 6), usable mu, (k,), and `Cones.goal`, (k, SIDES)."""
     equal, rows, bounds = fixed.equal.copy(), fixed.rows.copy(), fixed.bounds.copy()
     n, k = balance.shape[0], len(friction)
     equal[:6, :n] = balance.T

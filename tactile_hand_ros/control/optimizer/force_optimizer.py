@@ -53,11 +53,7 @@ class ForceOptimizerConfig(Config):
         min_length=3,
     )
     minimum_normal: float = param(
-        0.0,
-        "minimum f_n of each contact, as a fraction of the grasp force",
-        live=True,
-        ge=0.0,
-        lt=0.34,
+        0.0, "minimum f_n of each contact, as a fraction of k_f", live=True, ge=0.0, lt=0.34
     )
     solver: Literal["exact", "osqp"] = param(
         "exact",
@@ -69,20 +65,10 @@ class ForceOptimizerConfig(Config):
         "keep internal force and load inside the friction cones that the regulator has learned",
     )
     shape_time: float = param(
-        0.05,
-        "time constant with which f* follows the optimum inside the cones, 0 for immediately",
-        unit="s",
-        live=True,
-        ge=0.0,
-        le=10.0,
+        0.05, "time constant of f* in the cones, 0 for none", unit="s", live=True, ge=0.0, le=10.0
     )
     load_memory: float = param(
-        1.0,
-        "time constant with which f* forgets the loads of the recent past",
-        unit="s",
-        live=True,
-        gt=0.0,
-        le=100.0,
+        1.0, "time constant of the memory of loads", unit="s", live=True, gt=0.0, le=100.0
     )
 
     def weight_vector(self, fingers: int) -> Array:

@@ -253,14 +253,8 @@ def _active(problem: Problem, held: Flags) -> tuple[Array, Array]:
 def _activate(problem: Problem, held: Flags, entering: int, excess: float, y: Array) -> int:
     """Make a violated inequality active; return the number of systems, 0 if that is impossible.
 
-    Its multiplier grows until it holds. Active ones leave when their multipliers reach zero.
-
-    Args:
-        problem: The problem.
-        held: The active inequalities, shape (m,); updated.
-        entering: Index of the violated one.
-        excess: Its violation.
-        y: Multipliers, shape (m,), not negative except for rounding; updated.
+    Its multiplier grows until it holds. Active ones leave when their multipliers reach zero. Active
+    inequalities and multipliers, both of shape (m,), are updated.
     """
     for systems in range(1, _MAX_SYSTEMS):
         fall, gain = _direction(problem, held, problem.rows[entering])

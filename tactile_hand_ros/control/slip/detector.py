@@ -36,11 +36,9 @@ _LEARNING = 1.0  # s, time constant of the learned noise
 class SlipDetectorConfig(Config):
     """Parameters of the slip detector."""
 
-    noise: float = param(
-        0.02, "expected noise of a force until it is learned", unit="N", live=True, gt=0.0
-    )
+    noise: float = param(0.02, "noise of a force until it is learned", unit="N", live=True, gt=0.0)
     minimum_noise: float = param(
-        0.002, "vibration below this never counts as slip", unit="N", live=True, gt=0.0
+        0.002, "vibration below this is not slip", unit="N", live=True, gt=0.0
     )
     relative_noise: float = param(0.002, "the same, per normal force", live=True, ge=0.0)
     false_alarm_time: float = param(

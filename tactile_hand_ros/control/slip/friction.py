@@ -32,7 +32,7 @@ class FrictionConfig(Config):
 
     prior: float = param(0.4, "friction assumed before any slip or stick", live=True, gt=0.0)
     spread: float = param(
-        0.5, "standard deviation of its logarithm over everyday objects", live=True, gt=0.0
+        0.5, "standard deviation of ln mu over everyday objects", live=True, gt=0.0
     )
     explore: float = param(
         0.05,
@@ -43,11 +43,7 @@ class FrictionConfig(Config):
         ge=0.0,
     )
     forget: float = param(
-        300.0,
-        "time after which an estimate from a slip is as uncertain as the prior",
-        unit="s",
-        live=True,
-        gt=0.0,
+        300.0, "time until an estimate is as uncertain as the prior", unit="s", live=True, gt=0.0
     )
 
 

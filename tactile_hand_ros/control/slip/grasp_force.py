@@ -178,23 +178,16 @@ class SlipResponseConfig(Config):
     """Parameters of the reflex against slip."""
 
     margin: float = param(
-        0.15, "fraction by which learned friction exceeds the usable one", live=True, ge=0.0
+        0.15, "margin below the learned friction, as a fraction", live=True, ge=0.0
     )
-    rise_rate: float = param(
-        4000.0, "fastest rise of the grasp force", unit="N/s", live=True, gt=0.0
-    )
+    rise_rate: float = param(4000.0, "fastest rise of grasp force", unit="N/s", live=True, gt=0.0)
     first_rise: float = param(
-        2.0,
-        "factor by which the grasp force rises when a slip starts or a contact is lost",
-        live=True,
-        ge=1.0,
+        2.0, "factor of the grasp force when a slip starts or a contact is lost", live=True, ge=1.0
     )
     release_rate: float = param(
         1.0, "minimum fall of the grasp force to the required one", unit="N/s", live=True, gt=0.0
     )
-    release_time: float = param(
-        0.5, "time constant with which a large excess falls", unit="s", live=True, gt=0.0
-    )
+    release_time: float = param(0.5, "time constant of a large excess", unit="s", live=True, gt=0.0)
 
 
 class SlipResponse:

@@ -43,13 +43,9 @@ class SlipRegulatorConfig(Config):
         "user: requested grasp force, auto: the one that the object requires, shared: the larger",
         live=True,
     )
-    grasp_force: float = param(
-        10.0, "grasp force k_f until the user requests another", unit="N", gt=0.0
-    )
+    grasp_force: float = param(10.0, "grasp force k_f before a user request", unit="N", gt=0.0)
     minimum: float = param(0.5, "minimum grasp force", unit="N", live=True, ge=0.0)
-    maximum: float = param(
-        40.0, "largest grasp force, the crush limit", unit="N", live=True, gt=0.0
-    )
+    maximum: float = param(40.0, "maximum grasp force, crush limit", unit="N", live=True, gt=0.0)
     rise_rate: float = param(50.0, "fastest rise by the user", unit="N/s", live=True, gt=0.0)
     fall_rate: float = param(20.0, "fastest fall by the user", unit="N/s", live=True, gt=0.0)
     detector: SlipDetectorConfig = SlipDetectorConfig()
