@@ -57,7 +57,7 @@ def test_good_commands_pass_to_the_bit():
         (TORQUE, {"refused": "a second sender"}, "a second sender"),
     ],
 )
-def test_what_is_wrong_begins_a_hold_and_is_named(command, changes, reason):
+def test_a_wrong_command_starts_a_hold_and_is_named(command, changes, reason):
     made = guard()
     answer = step(made, follow(made), command, **changes)
     assert made.reason == reason and made.held == 1 and np.isfinite(answer).all()
@@ -112,7 +112,7 @@ def test_where_no_time_has_passed_nothing_presses():
     np.testing.assert_allclose(held, HAND.gravity_torque(THETA), atol=1e-12)
 
 
-def test_commands_take_over_by_equal_shares():
+def test_commands_take_over_in_equal_steps():
     made, other = guard(blend_time=0.008), TORQUE + np.linspace(1.0, 2.0, 9)
     tick = follow(made) + 9
     held = step(made, tick, TORQUE, answers=0)
@@ -159,7 +159,7 @@ def test_a_change_is_limited_from_the_torque_before_and_not_after_a_hold():
     np.testing.assert_array_equal(step(made, last + 2, TORQUE - 3.0), TORQUE - 3.0)
 
 
-def test_holds_are_counted_by_reason_when_they_begin_and_ticks_always():
+def test_holds_are_counted_by_reason_when_they_start_and_ticks_always():
     made = guard(patience=0.0)
     tick = follow(made)
     for more in range(3):
@@ -326,7 +326,7 @@ BAD = [np.full(9, np.nan), np.full(9, np.inf), np.where(np.arange(9) == 4, np.na
 
 @pytest.mark.parametrize("bad", BAD)
 @pytest.mark.parametrize("what", ["theta", "rates"])
-def test_joint_states_that_are_not_finite_begin_a_hold_without_the_drive(bad, what):
+def test_joint_states_that_are_not_finite_start_a_hold_without_the_drive(bad, what):
     """The last torque drove the joints: repeated, it would go on doing so."""
     made, tick = guard(**{"hold.reserve": 0.0}), 8
     drive = 0.1 * HAND.dynamics(THETA, STILL)[1] @ np.ones(9) / 0.002

@@ -447,7 +447,7 @@ def test_reset_forgets_a_hold_with_its_posture_and_grasp_force():
     np.testing.assert_array_equal(held.torque, REST)
 
 
-def test_after_a_reset_time_may_begin_again():
+def test_after_a_reset_time_may_restart():
     """A target for a tick to come waits for it, though there was a later tick before the reset."""
     bench = strained()
     bench.controller.reset()
@@ -474,7 +474,7 @@ def test_a_new_grasp_keeps_nothing_of_the_old_one():
     np.testing.assert_allclose(target.position, given["contacts"].centroid, atol=1e-12)
 
 
-def test_open_fingers_touching_again_are_no_grasp_before_they_are_told_to_close(bench):
+def test_open_fingers_touching_again_are_no_grasp_before_a_command_to_close(bench):
     bench.step()
     let_go(bench)
     assert bench.step(5).mode is Mode.OPEN
@@ -491,7 +491,7 @@ def test_to_close_a_hand_that_is_not_open_changes_nothing(bench):
 
 
 @pytest.mark.parametrize("again", [False, True])
-def test_to_let_go_begins_at_the_posture_of_the_grasp_without_its_grasp_force(again):
+def test_a_release_starts_at_the_posture_of_the_grasp_without_its_grasp_force(again):
     bench = Bench(law__observer__time=0.02)
     bench.step(20, forces=FORCES)
     if again:

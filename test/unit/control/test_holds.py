@@ -77,7 +77,7 @@ def test_a_hold_is_as_stiff_as_its_delay_allows_and_encoders_shake_it_little():
     assert shaken**2 * 0.08 * 1e-3 == pytest.approx(0.03 * HAND.finger_weight * HAND.spans.max())
 
 
-def test_braking_begins_without_a_step_of_the_torque_and_ends_in_a_spring():
+def test_braking_starts_without_a_step_of_the_torque_and_stops_in_a_spring():
     made, rates = hold(reserve=0.0), np.linspace(-0.5, 0.5, 9)
     made.engage(THETA, rates, PRESSED)
     model = terms(THETA, rates)
@@ -139,7 +139,7 @@ def test_what_an_encoder_cannot_tell_is_no_load():
 
 
 @pytest.mark.parametrize("fraction", [0.9, 1.1])
-def test_a_hundredth_of_a_fingers_weight_is_the_least_internal_force(fraction):
+def test_a_hundredth_of_a_fingers_weight_is_the_minimum_internal_force(fraction):
     share = fraction * HAND.minimum_force / TOTAL
     made = hold(reserve=0.5)
     made.engage(THETA, STILL, share * PRESSED)

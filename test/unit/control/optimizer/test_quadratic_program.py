@@ -272,7 +272,7 @@ def test_the_problem_is_the_documented_one(size, violated, minimum):
         np.testing.assert_allclose(found, expected, atol=1e-5)
 
 
-def test_where_least_shares_leave_nothing_no_answer_passes_for_one():
+def test_minimum_normal_forces_without_a_solution_give_none():
     _, missing = shaped(three_faces(), Cones(np.full(3, 0.3), np.zeros((3, 3))), 0.4)
     assert missing > 1e-3
 
