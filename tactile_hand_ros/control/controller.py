@@ -206,7 +206,11 @@ class Controller:
         self.reset()
 
     def configure(self, config: ControllerConfig) -> None:
-        """Change gains while running; `hand` and `layout` stay."""
+        """Change the parameters while running; `hand` and `layout` stay.
+
+        Args:
+            config: The new values.
+        """
         self.config = config
         self._law.configure(config.law)
 

@@ -94,9 +94,9 @@ class SlipDetector:
         L = (1 - 1/rho) r^T R^-1 r / 2 - ln rho,
 
     restarts at zero when the sum is negative, and reports slip above h. Independent innovations
-    have at least exp(h) samples between false alarms. Noise that alternates has 16 / 6 of the mean
-    power, which scales h. A step of the load changes up to three innovations, so each counts for
-    h / 4 at most. See docs/explanation/slip.md.
+    have a mean of at least exp(h) samples between false alarms. Noise that alternates
+    has 16 / 6 of the mean power, which scales h. A step of the load changes up to three
+    innovations, so each counts for h / 4 at most. See docs/explanation/slip.md.
 
     Source: Page, Continuous inspection schemes, 1954.
     """
