@@ -38,7 +38,7 @@ from tactile_hand_ros.rotations import rotation_from_quaternion
 
 Array = NDArray[np.float64]
 
-_NOT_FINITE = "the torque of the law is not finite; holding until its inputs are plausible"
+_NOT_FINITE = "the law gives no finite torque; holding until its inputs are plausible"
 
 _LONGEST_GAP = 0.05  # s; after a longer pause a tick integrates and moves no more than this
 _SHORTEST_LEVER = 1e-6  # m, far below any hand's; keeps the linear system regular
