@@ -33,6 +33,11 @@ def simulate(
 
     Raises:
         TactileHandError: If a key or value is wrong, or the scenario cannot work.
+
+    Example:
+        >>> run = simulate("paper", {"duration": 0.1, "targets": []})
+        >>> len(run.record), run.metrics.contacts_lost_ticks
+        (51, 0)
     """
     changes = dict(changes or {})
     if isinstance(law, str):

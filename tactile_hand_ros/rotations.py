@@ -114,7 +114,7 @@ def rotation_from_vector(vector: ArrayLike) -> Array:
 
 @compiled
 def rodrigues(x: float, y: float, z: float) -> Array:
-    """Return the rotation about the vector (x, y, z) by its length in rad, shape (3, 3)."""
+    """Return the rotation about the vector (x, y, z) by its length, rad, shape (3, 3)."""
     square = x * x + y * y + z * z
     angle = math.sqrt(square)
     if angle > 1e-4:

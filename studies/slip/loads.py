@@ -153,7 +153,7 @@ def scenario_of(case: LoadCase, floor: float, fraction: float) -> Scenario:
         "plant.disturbances": [load],
         "slip_regulator.friction.prior": case.friction,
         "slip_regulator.reserve.floor": floor,
-        "slip_regulator.reserve.share": fraction,
+        "slip_regulator.reserve.fraction": fraction,
     }
     return load_scenario(RANGES[case.hand].scenario, values)
 

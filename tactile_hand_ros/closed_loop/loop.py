@@ -156,7 +156,7 @@ class ClosedLoop:
         check_scenario(scenario)
         self.scenario = scenario
         self.plant = Plant(scenario.plant)
-        self.chain = sensing_chain(scenario, self.plant.known)
+        self.chain = sensing_chain(scenario, self.plant.model)
         self.state = self.plant.state
         self.stamp = 0
         self._requests = sorted(scenario.user_forces, key=lambda request: request.time)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What runs on a real hand: contact geometry, grasp map, laws, controller, holds, margins.
+"""The controllers, which also run on a real hand: they use joints and touch only.
 
-Blind: joints and touch only; nothing here imports the simulation, ROS or a clock.
+This folder imports neither the simulation nor ROS nor a clock.
 """

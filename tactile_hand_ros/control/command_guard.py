@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The last line of defence: what torque reaches the joints, judged where torque meets the joints.
+"""The guard in front of the joints: it checks each command, and holds the joints without one.
 
-It runs in the plant and belongs into the driver of a real hand. It knows joint states, commands and
-the model of the hand, nothing else, and reads no clock: time is in the stamps.
+It runs in the plant, or in the driver of a real hand. It uses joint states, commands and the model
+of the hand. Time comes from the stamps.
 """
 
 from __future__ import annotations
@@ -35,37 +35,29 @@ NOT_FINITE = "the command is not finite"
 TOO_FAST = "a joint is too fast"
 BLIND = "the joint states are not finite"
 STUCK = "the command does not change although the joints move"
-PULLS = "the command pulls the fingers off what they press"
-UNSTEADY = "commands have failed again and again; waiting until they are steady"
+PULLS = "the command pulls the fingers off the object"
+UNSTEADY = "commands have failed repeatedly; waiting until they are steady"
 
-_STUCK_MOTION = 0.002  # rad that torques may ignore to the bit, a fiftieth of a radius at a tip
-_STUCK_STEPS = 4.0  # errors of an angle that they may ignore too
-_PULL = 0.2  # fraction of the internal force with which a command may pull the fingers apart
-_CALM_TIME = 0.5  # s without a hold after which the next one ends immediately
+_STUCK_MOTION = 0.002  # rad of motion that may leave a torque unchanged, 0.02 radii at a tip
+_STUCK_STEPS = 4.0  # errors of an angle that may do so, too
+_PULL = 0.2  # fraction of the internal force that a command may pull the fingers apart with
+_CALM_TIME = 0.5  # s without a hold, after which the next hold ends with the first good command
 _CALM = 0.8  # fraction of the speed limit below which a joint counts as slow again
 
 
 class GuardConfig(Config):
-    """Which commands reach the joints, and what happens otherwise."""
+    """Limits of the commands that reach the joints, and the hold without them."""
 
     age_limit: int = param(
         3, "ticks by which a command may be older than the newest tick", unit="ticks", ge=0, le=1000
     )
-    torque_rate: float = param(
-        0.0, "fastest change of a commanded torque, 0 for any", unit="N m/s", ge=0.0
-    )
+    torque_rate: float = param(0.0, "fastest change of a torque, 0 for any", unit="N m/s", ge=0.0)
     speed_limit: float = param(
         0.0, "joint speed from which the joints are held, 0 for the URDF's", unit="rad/s", ge=0.0
     )
-    blend_time: float = param(
-        0.02, "time in which commands take over from a hold", unit="s", gt=0.0, le=10.0
-    )
+    blend_time: float = param(0.02, "duration of a takeover", unit="s", gt=0.0, le=10.0)
     patience: float = param(
-        0.05,
-        "time for which commands must be good to take over, when holds follow each other",
-        unit="s",
-        ge=0.0,
-        le=10.0,
+        0.05, "time of good commands that stops a series of holds", unit="s", ge=0.0, le=10.0
     )
     hold: GuardHoldConfig = GuardHoldConfig()
 
@@ -78,7 +70,7 @@ class TorqueCommand(NamedTuple):
 
 
 class _Sample(NamedTuple):
-    """A past tick: stamp in ns, joint angles and rates, and the torque that acted from it on."""
+    """A past tick: stamp, ns, joint angles, rad, rates, rad/s, and the torque from then, N m."""
 
     stamp: int
     theta: Array
@@ -87,7 +79,7 @@ class _Sample(NamedTuple):
 
 
 class State(enum.Enum):
-    """What reaches the joints: commands, the hold, or commands that take over from it."""
+    """Source of the torque: commands, the hold, or commands that take over from it."""
 
     ACT = "act"
     HOLD = "hold"
@@ -95,32 +87,30 @@ class State(enum.Enum):
 
 
 class CommandGuard:
-    """Decides at each tick what torque reaches the joints.
+    """Chooses the torque of the joints at each tick: the command or a hold.
 
-    Good commands pass unchanged, inside the limits of the joints. A command that is too old, not
-    finite, of the wrong shape, stuck or refused, joints that are too fast, and joint states that
-    are not finite begin a hold; see `GuardHold`. Good commands take over again within
-    `blend_time`: immediately after a single hold, and where holds follow each other, as on a
-    computer that is too busy, after `patience`. The hand then rests instead of switching to and
-    fro.
+    Good commands pass unchanged, inside the limits of the joints. A hold starts when a command is
+    too old, not finite, of the wrong shape, stuck or refused, when a joint is too fast, or when a
+    joint state is not finite; see `GuardHold`. Good commands take over within `blend_time`. If
+    holds follow each other, as on an overloaded computer, they must first be good for `patience`.
 
     Attributes:
         state: Whether commands act.
         reason: Why the joints are held; empty while commands act.
-        held: How many ticks were held since the reset.
-        holds: How many holds have begun since the reset, by reason.
-        age: Age of the last judged command, in ticks that have passed; -1 before the first.
+        held: Number of held ticks since the reset.
+        holds: Number of holds since the reset, by reason.
+        age: Age of the last checked command, in full ticks; -1 before the first.
     """
 
     def __init__(self, config: GuardConfig, hand: Hand, tick: int, step: int = 0) -> None:
-        """Take model and limits.
+        """Build the guard.
 
         Args:
             config: Limits of age, speed and change of torque, and the hold.
             hand: Model of the hand, with the gravity that acts on it.
             tick: Length of a tick, ns.
-            step: Time between two calls of `step`, ns; by default a tick. A drive is faster than
-                the commands that it gets, and holds the joints the stiffer.
+            step: Time between two calls of `step`, ns; by default a tick. A faster drive holds
+                the joints stiffer.
         """
         self._config, self._hand, self._tick, self._step = config, hand, tick, step or tick
         self._hold = GuardHold(config.hold, hand, 1e-9 * self._step)
@@ -165,13 +155,13 @@ class CommandGuard:
             theta: Joint angles at this tick, shape (m,), rad.
             rates: Joint rates at this tick, shape (m,), rad/s.
             command: The newest command; None before the first.
-            refused: Why no command may act now, such as a second sender; empty if they may.
+            refused: Why commands are refused now, such as a second sender; empty if they are not.
         """
         is_blind = not (np.isfinite(theta).all() and np.isfinite(rates).all())
         if is_blind and not self._past:
             self._note(stamp, BLIND)
             return np.zeros(self._hand.joints)
-        if is_blind:  # as if the joints went on as before, or did what the hold wants of them
+        if is_blind:  # assume that the joints continue their motion, or follow the hold
             last, before = self._past[-1], self._past[max(-2, -len(self._past))]
             on = 2.0 * last.theta - before.theta, 2.0 * last.rates - before.rates
             theta, rates = self._hold.reference if self.state is State.HOLD else on
@@ -188,11 +178,9 @@ class CommandGuard:
         return torque
 
     def _moved_on(self, stamp: int, reason: str) -> str:
-        """Change the state where it is time; return why the joints are held, empty if they act.
+        """Change the state if it is time, and return why the joints are held; empty if not.
 
-        Args:
-            stamp: The tick, ns.
-            reason: Why no command may act now; empty if it may.
+        The argument `reason` is why the command at this tick, in ns, is bad.
         """
         before, since_bad = self.state, np.inf if self._bad is None else stamp - self._bad
         if reason:
@@ -205,21 +193,21 @@ class CommandGuard:
             self._blend_start = stamp - self._step
         elif before is State.HOLD:
             reason = UNSTEADY
-        if self.state is State.BLEND and self._share(stamp) >= 1.0:
+        if self.state is State.BLEND and self._blended(stamp) >= 1.0:
             self.state = State.ACT
         if not reason:
             self.reason = ""
         return reason
 
-    def _share(self, stamp: int) -> float:
-        """Return how far commands have taken over at a tick in ns, up to 1."""
+    def _blended(self, stamp: int) -> float:
+        """Return the fraction of the command in the torque at a tick in ns, up to 1."""
         return min(1.0, 1e-9 * (stamp - self._blend_start) / self._config.blend_time)
 
     def _is_stuck(self, theta: Array, command: TorqueCommand) -> bool:
         """Return whether new commands repeat an old torque although the joints have moved.
 
-        A law answers the joints: to another posture and other rates it gives another torque. The
-        same command again, as when the next is late, is judged by its age alone.
+        A law gives another torque at another posture. The same command again, as when the next one
+        is late, is checked by its age alone.
         """
         before, self._newest = self._newest, command
         if before is None or not np.array_equal(before.torque, command.torque):
@@ -231,7 +219,7 @@ class CommandGuard:
         return bool(np.abs(theta - self._posture).max() > still)
 
     def _judge(self, stamp: int, theta: Array, rates: Array, command: TorqueCommand | None) -> str:
-        """Return why a command may not act; empty if it may."""
+        """Return why a command is bad; empty if it is good."""
         if command is None:
             return NO_COMMAND
         self.age = int((stamp - command.stamp) / self._tick)  # in ticks that have passed
@@ -251,20 +239,20 @@ class CommandGuard:
         return TOO_FAST if (np.abs(rates) > limit).any() else ""
 
     def _pulls_apart(self, stamp: int, theta: Array, rates: Array, torque: Array) -> bool:
-        """Return whether a command turns the internal force around.
+        """Return whether a command reverses the internal force.
 
-        To release the object, fingers cease to press and open. Only a wrong command pulls them off
-        with a force like that with which they press. It is a jump, larger than the pull of which it
-        would consist; only after one the tips are looked at.
+        To release the object, fingers stop pressing and open. Only a wrong command pulls them off
+        with a force close to the one they press with. Such a command is a large jump of the torque,
+        so the tips are computed only after a jump.
         """
         if not self._past:
             return False
         jump = np.abs(torque - self._past[-1].torque).max()
-        if jump < self._hand.least_force * self._hand.spans.min():
+        if jump < self._hand.minimum_force * self._hand.spans.min():
             return False
         terms = JointTerms(*self._hand.dynamics(theta, rates))
         _, presses = split_forces(tip_forces(terms.tips, self._pressed(stamp, rates, terms)))
-        if np.linalg.norm(presses, axis=1).sum() < self._hand.least_force:
+        if np.linalg.norm(presses, axis=1).sum() < self._hand.minimum_force:
             return False
         _, wanted = split_forces(tip_forces(terms.tips, torque - terms.bias))
         return bool(np.vdot(wanted, presses) < -_PULL * np.vdot(presses, presses))
@@ -288,7 +276,7 @@ class CommandGuard:
         command: TorqueCommand | None,
         reason: str,
     ) -> Array:
-        """Hold the joints, or let a good command take over a little more; `before` is the state."""
+        """Hold the joints, or blend a good command in; `before` is the last state."""
         terms = JointTerms(*self._hand.dynamics(theta, rates))
         if reason:
             if before is State.ACT:
@@ -300,22 +288,19 @@ class CommandGuard:
         torque = self._hold.step(seen, terms, follows=bool(reason))
         if not reason:
             assert command is not None
-            torque = torque + self._share(stamp) * (self._limited(command.torque) - torque)
+            torque = torque + self._blended(stamp) * (self._limited(command.torque) - torque)
         limit = self._hand.effort_limits
         return np.asarray(np.minimum(np.maximum(torque, -limit), limit))
 
     def _note(self, stamp: int, reason: str) -> None:
         self.held += stamp % self._tick == 0
-        if UNSTEADY not in (reason, self.reason):  # else the hold before continues
+        if UNSTEADY not in (reason, self.reason):  # otherwise the last hold continues
             self.holds[reason] += reason != self.reason
         self.reason = reason
         self._last = None
 
     def _pressed(self, stamp: int, rates: Array, terms: JointTerms) -> Array:
-        """Return the torque with which the contacts pressed, tau - M theta'' - bias, shape (m,).
-
-        The mean over the last ticks.
-        """
+        """Return the mean torque of the contacts, tau - M theta'' - bias, shape (m,), N m."""
         if not self._past or stamp <= self._past[0].stamp:
             return np.zeros(self._hand.joints)
         first = self._past[0]

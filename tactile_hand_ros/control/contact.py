@@ -13,25 +13,25 @@ from numpy.typing import NDArray
 from tactile_hand_ros.compiled import compiled
 from tactile_hand_ros.rotations import Vector, cross, rows_of_quaternions
 
-if TYPE_CHECKING:  # of it, Pinocchio need not be loaded
+if TYPE_CHECKING:  # Pinocchio loads slowly
     from tactile_hand_ros.hand.hand import Fingertips
 
 Array = NDArray[np.float64]
 
 
 MIN_CONTACTS = 3
-"""Contacts with which an object can be held and turned at will (A7)."""
+"""Contacts needed to hold and turn an object (A7)."""
 
 OFF_TIP = 1.0 / 6.0
 """Fraction of its radius by which a fingertip may miss its contact: 10 degrees around the tip."""
 
-# Below this length the projection of a direction on a face is no direction any more.
+# A shorter projection of a unit vector on a face has no clear direction.
 _MIN_PROJECTION = 1e-3
 
 
 @dataclass(frozen=True)
 class Contacts:
-    """Where the fingers touch, in the palm frame; a row of NaN means no contact.
+    """Contacts of the fingers, in the palm frame; a row of NaN means no contact.
 
     Attributes:
         positions: Contact points p_c, shape (k, 3), m.
@@ -43,7 +43,15 @@ class Contacts:
 
     @classmethod
     def from_poses(cls, positions: Array, quaternions: Array) -> Contacts:
-        """Build contacts from what travels on a topic: points and quaternions (x, y, z, w)."""
+        """Build contacts from the poses on a topic.
+
+        Args:
+            positions: Contact points, shape (k, 3), m.
+            quaternions: Contact frames (x, y, z, w), shape (k, 4).
+
+        Returns:
+            The contacts, in the palm frame.
+        """
         return cls(positions, rows_of_quaternions(quaternions).reshape(-1, 3, 3))
 
     @cached_property
@@ -58,11 +66,15 @@ class Contacts:
 
     @cached_property
     def enough_touching(self) -> bool:
-        """Whether so many fingers touch that they can hold an object without the others (A7)."""
+        """Whether enough fingers touch to hold an object without the others (A7)."""
         return bool(self.touching.sum() >= MIN_CONTACTS)
 
     def part(self, chosen: NDArray[np.bool_]) -> Contacts:
-        """Return the contacts of some fingers, chosen by a mask of shape (k,)."""
+        """Return the contacts of some fingers.
+
+        Args:
+            chosen: Mask of the fingers, shape (k,).
+        """
         return self if chosen.all() else Contacts(self.positions[chosen], self.rotations[chosen])
 
     @property
@@ -78,13 +90,17 @@ class Contacts:
 
 @compiled
 def all_finite(forces: Array) -> bool:
-    """Return whether all numbers of an array of shape (k, 3) are finite."""
+    """Return whether all numbers of an array of any shape are finite."""
     return bool(np.isfinite(forces).all())
 
 
 @compiled
 def centroid(points: Array) -> Array:
-    """Return the mean of points of shape (k, 3), shape (3,)."""
+    """Return the mean of points, shape (3,), m.
+
+    Args:
+        points: Shape (k, 3), m.
+    """
     out = np.zeros(3)
     for i in range(len(points)):
         out += points[i]
@@ -93,7 +109,7 @@ def centroid(points: Array) -> Array:
 
 @compiled
 def _touching(positions: Array, rotations: Array) -> NDArray[np.bool_]:
-    """Return where all numbers are finite, shape (k,): a point without a frame is of no use."""
+    """Return which contacts have a finite point and frame, shape (k,)."""
     out = np.empty(len(positions), dtype=np.bool_)
     for i in range(len(positions)):
         total = 0.0  # finite only if all its terms are
@@ -106,10 +122,9 @@ def _touching(positions: Array, rotations: Array) -> NDArray[np.bool_]:
 
 @compiled
 def contact_frame(normal: Array) -> Array:
-    """Return the contact frame of a normal.
+    """Return the contact frame of a normal, with t_x = n x t_z.
 
-    t_z is palm z projected on the face (palm x where that projection is shorter than 1e-3) and
-    t_x = n x t_z.
+    t_z is palm z projected on the face, or palm x if that projection is shorter than 1e-3.
 
     Args:
         normal: Unit normal into the object, palm frame, shape (3,).
@@ -122,12 +137,12 @@ def contact_frame(normal: Array) -> Array:
 
 @compiled
 def face_frame(normal: Array, along: Vector | Array, otherwise: Vector | Array) -> Array:
-    """Return [t_x, n, t_z] with t_z along a direction projected on the face, shape (3, 3).
+    """Return [t_x, n, t_z], shape (3, 3), with t_z along a direction projected on the face.
 
     Args:
         normal: Unit normal n of the face, shape (3,).
         along: Unit vector, shape (3,).
-        otherwise: Taken where that projection is shorter than 1e-3, shape (3,), of any length.
+        otherwise: Used if that projection is shorter than 1e-3, of any length, shape (3,).
     """
     nx, ny, nz = normal
     tx, ty, tz, length = 0.0, 0.0, 0.0, 0.0
@@ -151,8 +166,8 @@ def hand_jacobian(tips: Fingertips, points: Array, frames: Array) -> Array:
     Args:
         tips: Fingertip centers and Jacobians.
         points: Contact points p_c in the palm frame, shape (k, 3), m.
-        frames: Frames R along whose axes the velocities are taken, shape (k, 3, 3): contact frames,
-            or identities for the paper's J_h in palm axes.
+        frames: Frames R of the velocities, shape (k, 3, 3): contact frames, or identities for the
+            paper's J_h in palm axes.
 
     Returns:
         Velocities of the contact points per joint rate, shape (k, 3, m).
@@ -182,7 +197,7 @@ def in_palm(rotations: Array, forces: Array, scale: float) -> Array:
     Args:
         rotations: Contact frames, shape (k, 3, 3).
         forces: Forces in contact frames, shape (k, 3), N.
-        scale: Factor for all of them.
+        scale: Factor of the forces.
     """
     out = np.empty_like(forces)
     for i in range(len(forces)):
@@ -196,10 +211,9 @@ def in_palm(rotations: Array, forces: Array, scale: float) -> Array:
 def joint_torques(
     centers: Array, linear: Array, angular: Array, points: Array, forces: Array
 ) -> Array:
-    """Return J_h^T f, the joint torques that press with forces at the contacts, shape (m,), N m.
+    """Return J_h^T f, the joint torques for forces at the contacts, shape (m,), N m.
 
-    A force f at the arm p_cf from the fingertip's center acts there as f and p_cf x f, so that J_h
-    of equation (2) need not be formed.
+    A force f at the arm p_cf acts at the fingertip's center as f and p_cf x f.
 
     Args:
         centers: Fingertip centers p_f, palm frame, shape (k, 3), m.
@@ -208,7 +222,7 @@ def joint_torques(
         points: Contact points p_c, palm frame, shape (k, 3), m.
         forces: Forces f in palm axes, shape (k, 3), N.
 
-    Source: Shaw-Cortez et al., equation (2).
+    Source: Shaw-Cortez et al., equation (2), without forming J_h.
     """
     out = np.zeros(linear.shape[2])
     for i in range(len(points)):
@@ -225,7 +239,11 @@ _RADIUS = 0.05  # m
 
 
 def example_touch(fingers: int) -> tuple[Contacts, NDArray[np.float64]]:
-    """Return k contacts around a cylinder and the forces on it in contact frames, (k, 3), N."""
+    """Return contacts around a cylinder, and forces on it in contact frames, shape (k, 3), N.
+
+    Args:
+        fingers: Number of contacts k.
+    """
     angles = 2.0 * np.pi * np.arange(fingers) / fingers
     outward = np.stack([np.cos(angles), np.sin(angles), np.zeros(fingers)], axis=1)
     frames = np.array([contact_frame(normal) for normal in -outward])

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The manipulation controller: targets over time, one of the laws, and a safe hold around them."""
+"""The manipulation controller: desired poses, a control law and a safe hold."""
 
 from __future__ import annotations
 
@@ -38,21 +38,19 @@ from tactile_hand_ros.rotations import rotation_from_quaternion
 
 Array = NDArray[np.float64]
 
-_NOT_FINITE = "the law has no finite torque; holding until its inputs are plausible again"
+_NOT_FINITE = "the law gives no finite torque; holding until its inputs are plausible"
 
-_LONGEST_GAP = 0.05  # s; of a longer pause no more is integrated or moved in one tick
-_SHORTEST_LEVER = 1e-6  # m, far below any hand's: what is solved with it has a solution
-_MOVES_UNTIL = 0.8  # of the limit of k_f; the rest is for what still comes when the move has ended
-_ROOM = 0.1  # fraction of the way to a rim or the end of a joint at which a move ends
-_LONGEST_PERIOD = 0.01  # s between ticks; what is assumed before two were seen
+_LONGEST_GAP = 0.05  # s; after a longer pause a tick integrates and moves no more than this
+_SHORTEST_LEVER = 1e-6  # m, far below any hand's; keeps the linear system regular
+_MOVES_UNTIL = 0.8  # fraction of the limit of k_f at which a move stops, before the load grows
+_ROOM = 0.1  # fraction of the way to a rim or the end of a joint that must be left
+_LONGEST_PERIOD = 0.01  # s between ticks, assumed before the second tick
 
 
 class PostureHoldConfig(Config):
-    """What sets the stiffness of the hold, apart from the tick period."""
+    """Delay and resolution of the hold; with the tick period they limit its stiffness."""
 
-    latency: int = param(
-        3, "ticks by which a torque may act late", unit="ticks", live=True, ge=0, le=100
-    )
+    latency: int = param(3, "largest delay of a torque", unit="ticks", live=True, ge=0, le=100)
     resolution: float = param(
         0.0, "error of a measured joint angle, 0 if exact", unit="rad", live=True, ge=0.0, le=0.1
     )
@@ -70,26 +68,21 @@ class ControllerConfig(Config):
         "acceleration of gravity in the palm frame, with an imu in the world",
         unit="m/s^2",
     )
-    imu: bool = param(False, "take how the palm lies from the topic imu, and wait for it")
+    imu: bool = param(False, "take the orientation of the palm from the topic imu, and wait for it")
     midpoint_hold: bool = param(
         False,
         "extrapolate torques by half a period, since each is held for one (needs quiet sensors)",
         live=True,
     )
     reference_time: float = param(
-        0.4,
-        "time constant with which the hand follows a new desired pose, 0 for immediately",
-        unit="s",
-        live=True,
-        ge=0.0,
-        le=60.0,
+        0.4, "time constant to a new desired pose, 0 for none", unit="s", live=True, ge=0.0, le=60.0
     )
     hold: PostureHoldConfig = PostureHoldConfig()
     regrasp: RegraspConfig = RegraspConfig()
     touch_tolerance: float = param(
         0.0,
-        "largest distance between a contact and the fingertip that the joints put it on, 0 for a "
-        "sixth of its radius",
+        "largest distance between a contact and its fingertip by the joint angles, 0 for a sixth "
+        "of the radius of the tip",
         unit="m",
         live=True,
         ge=0.0,
@@ -109,9 +102,7 @@ class ControllerConfig(Config):
         ge=0.0,
         le=0.5,
     )
-    grasp_force_limit: float = param(
-        0.0, "largest k_f that is accepted, 0 for any", unit="N", live=True, ge=0.0
-    )
+    grasp_force_limit: float = param(0.0, "largest k_f, 0 for any", unit="N", live=True, ge=0.0)
     input_timeout: float = param(
         0.5,
         "silence of touch, f* or k_f, by the stamps of joint states, after which the hand holds",
@@ -122,7 +113,7 @@ class ControllerConfig(Config):
 
 
 class Mode(enum.Enum):
-    """What the controller is doing: its state."""
+    """State of the controller."""
 
     NO_GRASP = "no grasp"
     DRIVE = "drive"
@@ -132,12 +123,12 @@ class Mode(enum.Enum):
 
 
 class Held(NamedTuple):
-    """What a hold keeps of the last good tick.
+    """Torques of the last good tick, which a hold keeps.
 
     Attributes:
         internal: Torque of the internal force, shape (m,), N m.
         load: Torque that compensates the load, shape (m,), N m.
-        grasp_force: k_f to which the internal force belongs, N; 0 where it is not known.
+        grasp_force: k_f of that internal force, N; 0 if unknown.
     """
 
     internal: Array
@@ -145,7 +136,11 @@ class Held(NamedTuple):
     grasp_force: float = 0.0
 
     def raised(self, grasp_force: float) -> Held:
-        """Return it with the internal force of a larger k_f, N; it never falls."""
+        """Return it with the internal force of a larger k_f, which never falls.
+
+        Args:
+            grasp_force: k_f, N.
+        """
         if not (self.grasp_force > 0.0 and self.grasp_force < grasp_force < math.inf):
             return self
         factor = grasp_force / self.grasp_force
@@ -153,15 +148,15 @@ class Held(NamedTuple):
 
 
 class Command(NamedTuple):
-    """What the controller answers to one tick.
+    """The answer of the controller to one tick.
 
     Attributes:
         torque: Joint torques, shape (m,), N m.
-        mode: Drive, hold, open or disabled; hold also without a grasp.
-        pose: What the hand estimates of the object; None when it does not know.
-        reason: Why it holds, or why a target was refused; empty otherwise.
-        do_not_send: Whether to keep it back: an input is missing or implausible, and the guard of
-            the joints, which needs none of them, holds better.
+        mode: Drive, hold, open or disabled; hold without a grasp, too.
+        pose: Estimated pose of the object; None if unknown.
+        reason: Why it holds, or why a target was rejected; empty otherwise.
+        do_not_send: Whether to withhold it: an input is missing or implausible, and the guard at
+            the joints, which needs no inputs but joints, holds better.
     """
 
     torque: Array
@@ -172,20 +167,20 @@ class Command(NamedTuple):
 
 
 class Controller:
-    """Answers each tick with joint torques; sees joints and touch only.
+    """Answers each tick with joint torques, from joints and touch alone.
 
-    Without a target the grasp is kept where it was first seen. When a contact, f* or k_f is missing
-    or implausible, or the contacts lie on a line, the hand holds its posture and its last good
-    grasp force, with a spring as stiff as the period of the ticks allows; see `holds`.
+    Without a target the grasp stays where it was first seen. The hand holds its posture and its
+    last good grasp force when a contact, f* or k_f is missing or implausible, or the contacts lie
+    on a line. The spring of the hold is as stiff as the tick period allows; see `holds`.
 
     Attributes:
-        enabled: Whether the law acts, instead of mere damping.
-        touch_rejected: Whether touch teaches nothing: when joints and touch last came, they did not
-            fit each other, or a guard held the joints, which shakes the grasp and which no k_f
-            reaches. An open or disabled hand rejects nothing.
-        joints_held: Whether a guard holds the joints, so that no torque from here reaches them. The
-            integral and the reference wait for the end of that.
-        warning: Why this grasp could not be held without inputs; empty where it could.
+        enabled: Whether the law acts; otherwise the hand only damps.
+        touch_rejected: Whether friction must not be learned from touch: joints and touch do not fit
+            each other, or a guard holds the joints, which shakes the grasp. False while the hand is
+            open or disabled.
+        joints_held: Whether a guard holds the joints, so that these torques do not reach them. The
+            integral and the reference wait meanwhile.
+        warning: Why a hold could not keep this grasp; empty if it could.
     """
 
     def __init__(self, config: ControllerConfig, law: LawFactory | None = None) -> None:
@@ -193,7 +188,7 @@ class Controller:
 
         Args:
             config: Its parameters.
-            law: A law in the place of the one that they name.
+            law: A law that replaces the one they name.
 
         Raises:
             HandModelError: If the hand cannot be built.
@@ -206,22 +201,26 @@ class Controller:
         self._regrasp = Regrasp(config.regrasp, self.hand)
         self.enabled = True
         self.joints_held = False
-        self._palm: Array | None = None  # its rotation in the world, where an imu shows it
+        self._palm: Array | None = None  # rotation in the world by the imu
         self._targets = TargetQueue(self.hand)
         self.reset()
 
     def configure(self, config: ControllerConfig) -> None:
-        """Take other gains while running."""
+        """Change the parameters while running; `hand` and `layout` stay.
+
+        Args:
+            config: The new values.
+        """
         self.config = config
         self._law.configure(config.law)
 
     def reset(self) -> None:
-        """Forget everything, also that the fingers are open: time or hand are new."""
+        """Forget everything, including that the fingers are open."""
         self._regrasp.finish()
         self.forget()
 
     def forget(self) -> None:
-        """Forget grasp, targets and integral; open or closing fingers continue with that."""
+        """Forget grasp, targets and integral; open or closing fingers continue."""
         self._law.reset()
         self._hold_with(np.ones(self.hand.fingers, dtype=bool))
         self._new_grasp()
@@ -229,32 +228,32 @@ class Controller:
         self._rates.reset()
         self._targets.reset()
         self._mode = Mode.NO_GRASP
-        self._held: Held | None = None  # nothing is known to be held
-        self._posture = np.zeros(self.hand.joints)  # that a hold keeps
+        self._held: Held | None = None  # unknown
+        self._posture = np.zeros(self.hand.joints)  # of the hold
         self._grasp: Grasp | None = None
         self._last_torque: Array | None = None  # of the law, one tick ago
         self._last_stamp: int | None = None
         self._period = _LONGEST_PERIOD  # of the ticks, s
-        self._trust()
+        self._accept_inputs()
 
     def _hold_with(self, touching: NDArray[np.bool_]) -> None:
-        """Let fingers hold from now on, by a mask of shape (k,)."""
+        """Hold with the fingers in a mask of shape (k,)."""
         self._touching, self._fingers = touching, self.hand.part(touching)
         self._inputs = InputCheck(self._fingers)
         self._room: Array | None = None  # largest during the present move, see `room`
 
     def _new_grasp(self) -> None:
         self.warning, self._fitted_to, self._fitted_fingers = "", 0.0, 0
-        # Bandwidth that a hold needs per root of k_f, and that it has, rad/s.
+        # Bandwidth that a hold needs per root of k_f, and its bandwidth, rad/s.
         self._required: tuple[float, float] | None = None
 
-    def _trust(self) -> None:
-        """Forget all doubts."""
+    def _accept_inputs(self) -> None:
+        """Treat the inputs as plausible."""
         self.touch_rejected = False
-        self._doubted: int | None = None  # first tick of those with an implausible input
+        self._implausible_since: int | None = None  # tick of the first implausible input
 
     def _enter(self, mode: Mode, theta: Array) -> None:
-        """Change the state; a hold keeps the posture in which it begins, shape (m,), rad."""
+        """Change the state; a hold keeps the posture at its start, shape (m,), rad."""
         if mode is self._mode:
             return
         self._mode, self._last_torque = mode, None
@@ -262,22 +261,26 @@ class Controller:
             self._reference.reset()
             self._posture = theta.copy()
         if mode in (Mode.OPEN, Mode.DISABLED):
-            self._trust()
+            self._accept_inputs()
             self._held = self._nothing
 
     @property
     def _nothing(self) -> Held:
-        """What an open or disabled hand holds."""
+        """Torques of an open or disabled hand: zero."""
         return Held(np.zeros(self.hand.joints), np.zeros(self.hand.joints))
 
     def turn_palm(self, orientation: Array) -> None:
-        """Let gravity act as the palm lies, a quaternion (x, y, z, w) in the world, shape (4,)."""
+        """Turn gravity with the palm.
+
+        Args:
+            orientation: Quaternion (x, y, z, w) of the palm in the world, shape (4,).
+        """
         self._palm = rotation_from_quaternion(orientation)
         self.hand.gravity = self._palm.T @ np.array(self.config.gravity)
 
     @property
     def missing(self) -> str:
-        """Which fingers close while the others hold; empty where all touch, or the hand is open."""
+        """Fingers that close while the others hold; empty if all touch or the hand is open."""
         if self._mode is not Mode.DRIVE or self._touching.all():
             return ""
         names = ", ".join(self.hand.part(~self._touching).finger_names)
@@ -290,48 +293,48 @@ class Controller:
 
     @property
     def accepted(self) -> Target | None:
-        """The desired pose that became the target in the last step; None if none did."""
+        """The desired pose that became the target in the last step, or None."""
         return self._targets.accepted
 
     @property
     def dropped(self) -> int:
-        """Desired poses that were forgotten because too many waited."""
+        """Number of desired poses that were dropped because too many waited."""
         return self._targets.dropped
 
     def command(self, target: Target, stamp: int = 0) -> None:
-        """Take a desired pose; where `MOST_WAITING` wait already, the earliest is dropped.
+        """Queue a desired pose; if `MAX_WAITING` wait already, the earliest is dropped.
 
-        A pose that cannot be reached is refused here, or, after `MOST_CHECKED` poses in one tick,
-        when it is due.
+        An unreachable pose is rejected here or, after `MAX_CHECKED` poses in one tick, when it is
+        due.
 
         Args:
             target: Desired pose of the contact centroid's virtual frame, palm frame.
-            stamp: Tick in ns from which it holds; zero or a past one means now.
+            stamp: First tick at which it is due, ns; zero or a past one means now.
 
         Raises:
-            PoseError: If the present grasp cannot be carried there.
+            PoseError: If the present grasp cannot be moved there.
         """
         self._targets.command(target, stamp, self._last_stamp, self._grasp)
 
     def schedule(self, target: Target, stamp: int, *, judged: bool) -> None:
-        """Queue a desired pose as `command` does, without judging now whether it is in reach.
+        """Queue a desired pose as `command` does, without checking its reach now.
 
         Args:
             target: The pose.
-            stamp: Tick in ns from which it holds; zero or a past one means now.
-            judged: Whether it is known to be in reach; otherwise it is judged when it is due.
+            stamp: First tick at which it is due, ns; zero or a past one means now.
+            judged: Whether its reach was checked; otherwise it is checked when it is due.
         """
         self._targets.schedule(target, stamp, self._last_stamp, judged=judged)
 
     def forget_after(self, stamp: int) -> list[int]:
-        """Forget the desired poses for ticks after one, in ns; return the stamps they had."""
+        """Drop the desired poses for ticks after a stamp in ns, and return their stamps, ns."""
         return self._targets.forget_after(stamp)
 
     def release(self) -> None:
-        """Release the object: the fingers open along the normals of the last grasp.
+        """Open the fingers along the normals of the last grasp.
 
         Raises:
-            GraspError: If there has been no grasp yet.
+            GraspError: If there was no grasp yet.
         """
         if self._regrasp.active:
             self._regrasp.open()
@@ -346,7 +349,7 @@ class Controller:
         return self._regrasp.active
 
     def grasp(self) -> None:
-        """Close the fingers until all of them touch, and take what they hold as a new grasp."""
+        """Close the fingers until all touch, and start a new grasp."""
         if self._regrasp.active:
             self._regrasp.close()
 
@@ -361,30 +364,30 @@ class Controller:
         forces: Array | None = None,
         applied: Array | None = None,
     ) -> Command:
-        """Answer a tick for which everything has arrived.
+        """Return the answer to a tick whose inputs have all arrived.
 
         Args:
             stamp: The tick, ns.
             theta: Joint angles, shape (m,), rad.
             rates: Joint rates, shape (m,), rad/s.
             contacts: Contacts by touch; NaN where there is none.
-            optimal_forces: f* in contact frames, shape (k, 3); NaN when (13) has no answer.
+            optimal_forces: f* in contact frames, shape (k, 3); NaN if (13) has no solution.
             grasp_force: k_f, N.
-            forces: Measured forces in contact frames, shape (k, 3), N; for the load observer.
+            forces: Measured forces on the object, contact frames, shape (k, 3), N.
             applied: Torque of the joints since the last tick, shape (m,), N m; None if unknown.
         """
         dt = self._elapsed(stamp)
         rates = self._rates.step(stamp, theta, rates, self.config.hold.resolution)
-        self._targets.begin_tick()
+        self._targets.start_tick()
         if not self.enabled:
             return self._disabled(theta, rates)
         if self._regrasp.active:
             if not self._regrasped(contacts):
                 return self._open(theta, rates, contacts, dt)
-            dt = 0.0  # a new grasp has no past
+            dt = 0.0  # no time has passed in the new grasp
         problem = self._missing(contacts, optimal_forces, grasp_force)
         if problem:
-            self._inputs.begin_grasp()
+            self._inputs.start_grasp()
             return self._holding(theta, rates, problem, grasp_force, applied)
         self._follow_touch(contacts.touching)
         whole, contacts = contacts, contacts.part(self._touching)
@@ -393,8 +396,8 @@ class Controller:
         tips, problem = self._checked(stamp, theta, rates, contacts, forces, applied)
         problem = problem or self._implausible(optimal_forces, grasp_force)
         if problem:
-            return self._doubt(stamp, theta, rates, problem, applied)
-        self._doubted = None
+            return self._reject_inputs(stamp, theta, rates, problem, applied)
+        self._implausible_since = None
         try:
             pose = self._law.auxiliary_pose(tips, contacts)
             self._grasp = Grasp(theta, whole, pose)
@@ -408,13 +411,13 @@ class Controller:
         except GraspError as error:
             return self._holding(theta, rates, str(error), applied=applied)
         total = parts.total
-        # The square overflows only for torques that no joint could have: one check for all of them.
+        # One check for all torques: the square overflows only beyond those of any joint.
         if not math.isfinite(total.dot(total)):
             self._law.reset()
             return self._holding(theta, rates, _NOT_FINITE, applied=applied)
         self._enter(Mode.DRIVE, theta)
         self._held = Held(parts.internal, parts.load_compensation, grasp_force)
-        if dt > 0.0:  # the rate of the ticks is known
+        if dt > 0.0:  # the tick rate has been measured
             self._judge_hold(theta, contacts, optimal_forces, grasp_force)
         torque = self._ahead(self._bearable(parts, self._weight(theta)), dt)
         if not self._touching.all():
@@ -422,22 +425,16 @@ class Controller:
         return Command(torque, Mode.DRIVE, pose, refused)
 
     def _follow_touch(self, touching: NDArray[np.bool_]) -> None:
-        """Hold with the fingers that touch, by a mask of shape (k,), without a jump of the law."""
+        """Hold with the fingers in a mask of shape (k,); the torque of the law does not jump."""
         if (touching != self._touching).any():
             self._hold_with(touching)
             self._law.change_fingers()
 
     def _closing(self, torque: Array, theta: Array, rates: Array, middle: Array) -> Array:
-        """Return torques with which the fingers that do not touch close, shape (m,), N m.
+        """Return torques that close the fingers without contact, shape (m,), N m.
 
-        Their tips move towards the middle of the contacts at a given speed. Only the damping to
-        that speed presses on what stops them where they feel no touch.
-
-        Args:
-            torque: That of the others, shape (m,), N m.
-            theta: Joint angles, shape (m,), rad.
-            rates: Joint rates, shape (m,), rad/s.
-            middle: Centroid of the contacts, shape (3,), m.
+        Their tips move towards the centroid of the contacts, shape (3,), m, at a given speed. An
+        obstacle that the skin does not detect meets only the damping to that speed.
         """
         hand = self.hand.part(~self._touching)
         tips, inertia, bias = hand.dynamics(theta, rates)
@@ -462,7 +459,7 @@ class Controller:
         forces: Array | None,
         applied: Array | None,
     ) -> tuple[Fingertips, str]:
-        """Return the fingertips, and why joints and touch do not fit; see `step`."""
+        """Return the fingertips, and why joints and touch disagree; see `step`."""
         pressing, c = None, self.config
         if self._compares_forces and forces is not None and applied is not None:
             pressing = forces, applied
@@ -475,16 +472,16 @@ class Controller:
         return tips, problem
 
     def _way_to_target(self, pose: AuxiliaryPose, dt: float) -> Target:
-        """Return the pose on the way to the target that the law aims at in this tick."""
+        """Return the pose on the way to the target for this tick."""
         assert self.target is not None
         self._law.acts = not self.joints_held
-        passed = 0.0 if self.joints_held else dt  # a reference that waits continues where it was
+        passed = 0.0 if self.joints_held else dt  # the reference waits
         return self._reference.step(self.target, pose, self.config.reference_time, passed)
 
     def _stopped(
         self, theta: Array, contacts: Contacts, pose: AuxiliaryPose, grasp_force: float
     ) -> str:
-        """Return why the grasp stays where it is from now on; empty if it moves on."""
+        """Return why the grasp stops here; empty if it moves on."""
         if not self._reference.is_moving:
             self._room = None
             return ""
@@ -496,10 +493,10 @@ class Controller:
         return f"the move ends here: {problem}; go back, or ask for a smaller turn"
 
     def _way_ends(self, theta: Array, contacts: Contacts, grasp_force: float) -> str:
-        """Return why a move should not go on; empty if it may.
+        """Return why a move must stop; empty if it may continue.
 
-        What holds the object where a move begins may not hold it where it ends: a grasp force that
-        grows is the sign of it. From near a rim or an end it may go back.
+        A grasp may be firm at the start of a move and weak at its end. A growing grasp force is the
+        sign of that. Moves back from a rim or an end are allowed.
         """
         limit = self.config.grasp_force_limit
         if 0.0 < _MOVES_UNTIL * limit < grasp_force:
@@ -522,11 +519,17 @@ class Controller:
         applied: Array | None = None,
         stamp: int | None = None,
     ) -> Command:
-        """Answer a tick that misses an input: keep posture and last good grasp force.
+        """Return the answer to a tick with a missing input: hold posture and grasp force.
 
-        Where a guard holds the joints, without delay and stiffer, it is not relieved by that: the
-        answer is not to be sent. The arguments are those of `_holding`, and the tick in ns, from
-        which rates follow; without it they are taken as measured.
+        If a guard holds the joints, stiffer and without delay, the answer must not be sent.
+
+        Args:
+            theta: Joint angles, shape (m,), rad.
+            rates: Joint rates, shape (m,), rad/s.
+            reason: Why the law cannot answer.
+            grasp_force: k_f, N; 0 if unknown. The held force rises with it and never falls.
+            applied: Torque of the joints since the last tick, shape (m,), N m; None if unknown.
+            stamp: The tick, ns, to estimate rates from angles; None to take them as measured.
         """
         if stamp is not None:
             rates = self._rates.step(stamp, theta, rates, self.config.hold.resolution)
@@ -541,19 +544,12 @@ class Controller:
         grasp_force: float = 0.0,
         applied: Array | None = None,
     ) -> Command:
-        """Keep posture and last good grasp force.
+        """Hold posture and last good grasp force; see `hold`.
 
-        A controller that has not grasped yet keeps what acts on the joints: another may have died
-        with the object in the hand, and a guard may hold it.
-
-        Args:
-            theta: Joint angles, shape (m,), rad.
-            rates: Joint rates, shape (m,), rad/s.
-            reason: Why the law cannot answer.
-            grasp_force: k_f where it is known, N. The held force rises with it and never falls.
-            applied: Torque of the joints since the last tick, shape (m,), N m; None if unknown.
+        Before its first grasp a controller keeps the torque that acts on the joints. Another
+        controller may have crashed with the object in the hand.
         """
-        self._targets.begin_tick()
+        self._targets.start_tick()
         if not self.enabled:
             return self._disabled(theta, rates)
         self._enter(Mode.HOLD, theta)
@@ -563,18 +559,18 @@ class Controller:
         return Command(fraction * held.internal + rest, Mode.HOLD, None, reason)
 
     def _kept(self, theta: Array, applied: Array | None, grasp_force: float) -> Held:
-        """Return what the hold keeps, for a k_f in N and torques applied since the last tick."""
+        """Return the torques to keep, for a k_f in N and the torques since the last tick."""
         if self._held is None:
             kept = self._nothing
             if applied is None or not applied.any() or not all_finite(applied):
-                return kept  # still nothing that is known to act
+                return kept  # still unknown
             weight = self._weight(theta)
             self._held = kept._replace(internal=applied if weight is None else applied - weight)
         self._held = self._held.raised(grasp_force)
         return self._held
 
     def _spring(self, theta: Array, rates: Array) -> Array:
-        """Return the torque that brings the joints back to the posture to hold, (m,), N m."""
+        """Return the torque that brings the joints back to the held posture, (m,), N m."""
         inertia = self.hand.dynamics(theta, rates)[1]
         return spring(inertia, self._stiffest(inertia), self._posture - theta, -rates)
 
@@ -585,16 +581,16 @@ class Controller:
         return stiffest(self.hand, inertia, self._period, late, c.resolution)
 
     def _fit(self, theta: Array, contacts: Contacts, optimal_forces: Array) -> None:
-        """Fit the gains that are not given to the hand, for its ticks and most of its fingers.
+        """Fit the gains that are not given to the hand, its tick period and its fingers.
 
-        That takes milliseconds, so a finger that comes and goes changes nothing.
+        This takes milliseconds, so a finger that loses and regains contact does not repeat it.
         """
         fingers, c = self._fingers.fingers, self.config
         known = self._fitted_to == self._period and fingers <= self._fitted_fingers
         if self._law.fits or known:
             return
         self._fitted_to, self._fitted_fingers = self._period, fingers
-        forces = contacts.centroid - contacts.positions  # of law (10), a guess for one's own
+        forces = contacts.centroid - contacts.positions  # of law (10), a guess for other laws
         if c.law.name == "optimal":
             forces = in_palm(contacts.rotations, optimal_forces, 1.0)
         ages = c.touch_latency, c.law.observer.time
@@ -604,7 +600,7 @@ class Controller:
     def _judge_hold(
         self, theta: Array, contacts: Contacts, optimal_forces: Array, grasp_force: float
     ) -> None:
-        """Warn once in a grasp if a hold could not keep it at this rate of the ticks."""
+        """Warn once per grasp if a hold could not keep it at this tick rate."""
         if self.config.law.name != "optimal" or self.warning:
             return
         if self._required is None:
@@ -631,17 +627,17 @@ class Controller:
 
     @property
     def _compares_forces(self) -> bool:
-        """Whether measured forces decide what the hand does, and are compared with torques."""
+        """Whether the law uses measured forces, so that they are compared with torques."""
         c = self.config
         return c.law.observer.time > 0.0 and c.force_tolerance > 0.0
 
-    def _doubt(
+    def _reject_inputs(
         self, stamp: int, theta: Array, rates: Array, reason: str, applied: Array | None
     ) -> Command:
-        """Answer a tick with an input that is implausible, as if it were missing."""
-        if self._doubted is None:
-            self._doubted = stamp
-        is_new = 1e-9 * (stamp - self._doubted) < self.config.input_timeout
+        """Answer a tick with an implausible input as if the input were missing."""
+        if self._implausible_since is None:
+            self._implausible_since = stamp
+        is_new = 1e-9 * (stamp - self._implausible_since) < self.config.input_timeout
         held = self.hold(theta, rates, reason, applied=applied)
         return held._replace(do_not_send=is_new or held.do_not_send)
 
@@ -658,22 +654,22 @@ class Controller:
         return Command(torque, Mode.DISABLED, None, "disabled by the user")
 
     def _regrasped(self, contacts: Contacts) -> bool:
-        """Return whether closing fingers have touched; then a new grasp begins.
+        """Start a new grasp if closing fingers touch, and return whether they do.
 
-        Where enough touch, the others search as far as they may before it begins without them.
+        If enough fingers touch, the others first close as far as they may.
         """
         closing = self._regrasp.closing
         if not closing or not self._enough(contacts) or self._regrasp.searches(contacts):
             return False
         self._regrasp.finish()
         self._law.reset()
-        self._targets.begin_grasp()
+        self._targets.start_grasp()
         self._hold_with(contacts.touching)
         self._new_grasp()
         return True
 
     def _enough(self, contacts: Contacts) -> bool:
-        """Return whether so many fingers touch that the law can act."""
+        """Return whether enough fingers touch for the law."""
         if self.config.law.name == "optimal":
             return contacts.enough_touching
         return contacts.all_touching
@@ -686,10 +682,7 @@ class Controller:
         return Command(torque, Mode.OPEN, None, reason)
 
     def _elapsed(self, stamp: int) -> float:
-        """Return the time since the last tick in s; 0 after an interruption.
-
-        Nothing is integrated over it, and fingers that open or close continue from where they are.
-        """
+        """Return the time to integrate since the last tick, s; 0 after an interruption."""
         before, self._last_stamp = self._last_stamp, stamp
         if before is None or stamp <= before:
             return 0.0
@@ -709,11 +702,9 @@ class Controller:
         return ""
 
     def _ahead(self, torque: Array, dt: float) -> Array:
-        """Extrapolate by half a period: a torque that is held for T is T/2 old on average.
+        """Extrapolate a torque, shape (m,), N m, by half a period; it is T/2 old on average.
 
-        Args:
-            torque: That of this tick, shape (m,), N m.
-            dt: Time since the last one, s.
+        `dt` is the time since the last tick, s.
         """
         last, self._last_torque = self._last_torque, torque
         if not self.config.midpoint_hold or last is None or dt <= 0.0:
@@ -721,10 +712,10 @@ class Controller:
         return torque + 0.5 * self._period / dt * (torque - last)
 
     def _bearable(self, parts: LawTorque, weight: Array | None) -> Array:
-        """Return what the joints can bear of a law's torques and the links' weight, (m,), N m.
+        """Return the torques of a law and of the links' weight within the limits, (m,), N m.
 
-        First comes the internal force with the load, whose shape is kept, then the drive; damping
-        takes what is left, joint by joint.
+        Internal force and load come first and keep their direction, then the drive. Damping takes
+        the rest, joint by joint.
         """
         limits, carried = self.hand.effort_limits, _sum(parts.load_compensation, weight)
         fraction = bearable_fraction(parts.internal, carried, limits)
@@ -736,7 +727,7 @@ class Controller:
         return np.asarray(np.minimum(np.maximum(torque, -limits), limits))
 
     def _weight(self, theta: Array) -> Array | None:
-        """Return the torques that carry the links, shape (m,), N m; None where not wanted."""
+        """Return the torques that carry the links, shape (m,), N m; None without compensation."""
         return self.hand.gravity_torque(theta) if self.config.gravity_compensation else None
 
 

@@ -16,10 +16,10 @@ from tactile_hand_ros.rotations import cross
 
 Array = NDArray[np.float64]
 
-# A grasp this much thinner than long counts as a line: its rotation about the line is lost (A7).
+# Below this, contacts count as lying on a line, and the rotation about it is lost (A7).
 MIN_COLLINEARITY_MARGIN = 1e-3
 
-_OTHER_SIDE = np.array([1.0, -1.0, -1.0])  # turns r_z to the other side of the plane, and r_y
+_OTHER_SIDE = np.array([1.0, -1.0, -1.0])  # flips r_y and r_z
 _CLEAR_MARGIN = 0.1  # collinearity margin above which three points make a good frame
 
 
@@ -30,8 +30,8 @@ def grasp_map(arms: Array, frames: Array) -> Array:
     A unit force along an axis t at an arm d gives the wrench (t, d x t).
 
     Args:
-        arms: Contact points d from where torques are taken, palm axes, shape (k, 3), m: from the
-            object's origin, p_c,i - p_o, for equation (4); from the contact centroid for (11).
+        arms: Contact points d from the reference point of torques, palm axes, shape (k, 3), m: from
+            the object's origin, p_c,i - p_o, in (4), and from the contact centroid in (11).
         frames: Frames of the forces, shape (k, 3, 3): contact frames, or identities for palm axes.
 
     Returns:
@@ -76,11 +76,10 @@ def net_wrench(points: Array, rotations: Array, forces: Array) -> Array:
 
 
 def wrench_forces(points: Array, wrench: Array) -> Array:
-    """Return the contact forces G~^+ wrench, the smallest ones that give a wrench.
+    """Return the contact forces G~^+ wrench, the smallest ones with a wrench.
 
-    G~ is the grasp map (11). About the centroid the blocks of G~ G~^T decouple, so that with
-    d_i = p_c,i - centroid and S = sum(|d_i|^2 I - d_i d_i^T) the pseudoinverse is
-    f_i = F / k + (S^-1 T) x d_i.
+    G~ is the grasp map (11). About the centroid its pseudoinverse is f_i = F / k + (S^-1 T) x d_i,
+    with d_i = p_c,i - centroid and S = sum(|d_i|^2 I - d_i d_i^T).
 
     Args:
         points: Contact points in the palm frame, shape (k, 3), m.
@@ -100,7 +99,12 @@ def wrench_forces(points: Array, wrench: Array) -> Array:
 
 @compiled
 def spread_wrench(points: Array, wrench: Array) -> tuple[Array, float]:
-    """Return the forces of `wrench_forces`, of no use on a line, and the collinearity margin."""
+    """Return the forces of `wrench_forces`, undefined on a line, and the collinearity margin.
+
+    Args:
+        points: Contact points in the palm frame, shape (k, 3), m.
+        wrench: Force and torque about the contact centroid, shape (6,), N and N m.
+    """
     arms = centered(points)
     k, margin = len(points), _margin(arms)
     x, y, z = _solve_spread(arms.T @ arms, wrench[3:])
@@ -132,16 +136,22 @@ def _solve_spread(scatter: Array, right: Array) -> tuple[float, float, float]:
 
 @compiled
 def centered(points: Array) -> Array:
-    """Return the arms p_c,i - centroid, shape (k, 3), m."""
+    """Return the arms p_c,i - centroid, shape (k, 3), m.
+
+    Args:
+        points: Contact points p_c, shape (k, 3), m.
+    """
     return points - centroid(points)
 
 
 @compiled
 def collinearity_margin(points: Array) -> float:
-    """Return how far the contacts are from lying on one line: 0 on a line, 1 for an even spread.
+    """Return the margin of assumption A7: 0 for contacts on a line, 1 for an even spread.
 
-    It is the ratio of the second to the first singular value of p_c,i - centroid, the margin of
-    assumption A7.
+    It is the ratio of the second to the first singular value of p_c,i - centroid.
+
+    Args:
+        points: Contact points p_c, shape (k, 3), m.
     """
     return _margin(centered(points))
 
@@ -149,8 +159,8 @@ def collinearity_margin(points: Array) -> float:
 @compiled
 def _margin(arms: Array) -> float:
     if len(arms) == 3:
-        # Three arms from their mean have one cross product, whose square is a third of l1 l2, where
-        # l are the eigenvalues of the scatter; their sum is that of the squared arms.
+        # l1 l2 of the scatter is three times the squared cross product of two arms, and l1 + l2 is
+        # the sum of the squared arms.
         total = (arms * arms).sum()
         (ax, ay, az), (bx, by, bz) = arms[0], arms[1]
         nx, ny, nz = cross((ax, ay, az), (bx, by, bz))
@@ -176,6 +186,10 @@ def joint_margin(hand_jacobian: Array) -> float:
 def check_joints(hand_jacobian: Array, minimum: float = 1e-3) -> None:
     """Check assumption A5: J_h has full row rank.
 
+    Args:
+        hand_jacobian: J_h, shape (3k, m) or (k, 3, m).
+        minimum: Smallest accepted singular value, m/rad.
+
     Raises:
         GraspError: If the hand cannot move its contact points freely.
     """
@@ -192,6 +206,9 @@ def check_joints(hand_jacobian: Array, minimum: float = 1e-3) -> None:
 def check_spread(points: Array) -> None:
     """Check assumption A7: at least three contacts that are not on one line.
 
+    Args:
+        points: Contact points, shape (k, 3), m.
+
     Raises:
         CollinearContactsError: If they are.
         GraspError: If there are fewer than three.
@@ -203,7 +220,7 @@ def check_spread(points: Array) -> None:
 
 
 def too_few(points: Array) -> GraspError:
-    """Return the error for fewer than three contacts."""
+    """Return the error for fewer than three contact points, shape (k, 3), m."""
     return GraspError(f"{len(points)} contacts, but a grasp needs at least three (A7)")
 
 
@@ -214,7 +231,7 @@ def required_friction(forces: Array) -> Array:
         forces: Contact forces on the object in C_i (y is the normal), shape (k, 3), N.
 
     Returns:
-        Shape (k,); infinite where a tangential force has no normal force, 0 where there is none.
+        Shape (k,); infinite for a tangential force without a normal force, 0 without a force.
     """
     tangential = np.hypot(forces[..., 0], forces[..., 2])
     normal = forces[..., 1]
@@ -226,17 +243,16 @@ def required_friction(forces: Array) -> Array:
 class VirtualFrame:
     """Follows the orientation of a grasp from its contact points.
 
-    For three contacts r_x points from contact 2 to contact 1, r_z is normal to their plane and
-    r_y = r_z x r_x. The side of r_z is chosen along palm +z at the start and then kept, so that a
-    grasp can turn upside down. For more than three contacts the frame of the first three at the
-    start (of the three that are farthest from a line, where fingers stand in a row) is turned by
-    the rotation that best fits all contacts to their first positions (Kabsch 1976).
+    For three contacts r_x points from contact 2 to contact 1, r_z is normal to their plane, and
+    r_y = r_z x r_x. At the start r_z is on the side of palm +z; it then keeps its side, so that a
+    grasp can turn upside down. For more contacts the frame of the first three at the start (or of
+    the three farthest from a line) turns with the best rotation of all contacts (Kabsch 1976).
 
-    Source: Shaw-Cortez et al., section III; our generalisation for k > 3.
+    Source: Shaw-Cortez et al., section III; our generalization for k > 3.
     """
 
     def __init__(self) -> None:
-        """Start without a memory of a grasp."""
+        """Start without a grasp."""
         self._side = 0.0
         self._start: tuple[Array, Array] | None = None
 
@@ -274,7 +290,7 @@ class VirtualFrame:
 
 
 def _leading(points: Array) -> Array:
-    """Return the first three points, or the three farthest from a line where those are near one."""
+    """Return the first three points, or the three farthest from a line if those are near one."""
     if collinearity_margin(points[:3]) >= _CLEAR_MARGIN:
         return points[:3]
     triples = (points[list(three)] for three in combinations(range(len(points)), 3))
@@ -342,15 +358,25 @@ def _frame_of_plane(points: Array) -> tuple[Array, float]:
 
 @compiled
 def turned_frame(before: Array, frame: Array, after: Array) -> Array:
-    """Return a frame of centered points, shape (k, 3), where they have turned to others."""
+    """Return a frame that has turned with centered points, shape (3, 3).
+
+    Args:
+        before: Points when they had the frame, shape (k, 3), m.
+        frame: The frame, shape (3, 3).
+        after: The points now, shape (k, 3), m.
+    """
     return best_rotation(before, after) @ frame
 
 
 @compiled
 def best_rotation(before: Array, after: Array) -> Array:
-    """Return the rotation that best maps centered points to centered points (Kabsch 1976).
+    """Return the rotation that best maps centered points to others, shape (3, 3).
 
-    Where a reflection would fit better, the direction of the minimum extent is turned round.
+    Args:
+        before: Points, shape (k, 3), m.
+        after: Their images, shape (k, 3), m.
+
+    Source: Kabsch 1976; of a reflection the direction of the smallest extent is reversed.
     """
     u, _, vt = np.linalg.svd(after.T @ before)
     product: Array = u @ vt

@@ -1,27 +1,23 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Holding the joints without a law: what the controller and the guard at the joints fall back to.
+"""Holding the joints without a law: the fallback of the controller and of the guard at the joints.
 
-Both keep the torque with which the contacts press, and add a spring and a damper that follow the
-inertia, M_h (w^2 e + 2 w e'), with e from the posture to hold.
+Both keep the torque of the contacts and add a spring and a damper in proportion to the inertia,
+M_h (w^2 e + 2 w e'), with e = posture to hold - theta. See docs/explanation/safe-hold.md.
 
-A grasp under constant joint torques is a mechanism under load: where it gives way, the torques no
-longer balance. With forces f on the object and motions of joints and object that keep the contacts
-(rolling, A1), the torques that are missing are K_geo = d(J_h^T f) - d(G f) at constant f: the
-Hessian of the fingers, the rolling of their tips, and the lever of the forces on a turned object.
-Where K_geo is negative the grasp buckles, unless the spring is stiffer:
-w^2 N^T M_h N + K_geo > 0, with N the motions that keep the contacts. See `required_bandwidth`.
+A grasp under constant torques may buckle. Along motions N of joints and object that keep the
+contacts (rolling, A1), its geometric stiffness is K_geo = d(J_h^T f) - d(G f) at constant forces f.
+It is stable if w^2 N^T M_h N + K_geo > 0. See `required_bandwidth`.
 
-How stiff a spring may be follows from how late it acts: its loop (w^2 + 2 w s) / s^2 crosses over
-at 2.06 w with a phase margin of 1.33 rad, which a delay d lowers by 2.06 w d. See `stiffest`.
+The delay d of the spring limits w: its loop (w^2 + 2 w s) / s^2 crosses over at 2.06 w with a phase
+margin of 1.33 rad, which the delay lowers by 2.06 w d. See `stiffest`.
 
-`GuardHold` runs where torque meets the joints, from joint states and a model of the hand alone.
-With the posture q(t) that brings the joints from theta_0, theta'_0 to rest it answers
+`GuardHold` uses joint states and a model of the hand alone. Its torque is
 
     tau = tau_c + (s - 1) J^T f_int + C_h theta' + N_h
           + M_h (q'' + 2 w (q' - theta') + w^2 (q - theta)),
 
-where tau_c is the torque with which the contacts pressed when it began, f_int the internal part of
-the tip forces, and s grows with the load on the tips. See docs/explanation/safe-hold.md.
+with the torque tau_c of the contacts at the start, the internal part f_int of the tip forces, a
+factor s that grows with the load on the tips, and a posture q(t) that comes to rest.
 """
 
 from __future__ import annotations
@@ -41,34 +37,31 @@ from tactile_hand_ros.hand.hand import Fingertips, Hand
 Array = NDArray[np.float64]
 
 _PHASE = 0.5  # w d: leaves 17 degrees of phase at the longest delay, 47 at half of it
-_POSE_PHASE = 0.25  # of the stiffness, by the age of touch; the part of the damping that age takes
-_SHAKES = 0.03  # of a finger's weight, by errors of angles; the grasp force keeps 0.6 in reserve
-_MARGIN = 1.5  # of the stiffness over that with which the grasp would just not buckle
-_MAX_OFFSET, _MAX_RATE = np.pi, 1e3  # rad and rad/s; whatever is read, the torque stays finite
-_WINDOW = 64  # angles that are looked at; at rest their slope is an error of an angle over all
-_ROUNDING = 0.01  # of the error: angles that differ by just one step are on a line too
+_POSE_PHASE = 0.25  # loss of phase of the stiffness by the age of touch, and loss of damping
+_SHAKE = 0.03  # of a finger's weight, by angle errors; the grasp force has 0.6 in reserve
+_MARGIN = 1.5  # of the stiffness over the buckling limit
+_MAX_OFFSET, _MAX_RATE = np.pi, 1e3  # rad and rad/s; keep the torque finite
+_WINDOW = 64  # number of angles; at rest their slope is one angle error over all of them
+_ROUNDING = 0.01  # of the error, so that angles one step apart count as a line
 _STEP = 1e-5  # of finite differences, rad
 
 
 class JointRates:
-    """Estimates rates over the longest past in which the angles lie on a line.
+    """Estimates rates over the longest window in which the angles lie on a line.
 
-    Behind a filter with a fixed corner frequency each step of an encoder is a pulse of the rate,
-    however slowly the joint moves, and damping makes a pulse of force of it. Here the window is as
-    long as all angles, within their error, lie on the line from its first to its last. At rest and
-    at a constant speed it is long, so that a step counts for little. At an acceleration a it lasts
-    about sqrt(8 e / a), with the error e.
+    A filter with a fixed corner frequency turns each encoder step into a pulse of the rate, which
+    damping turns into a pulse of force. This window is long at rest and at constant speed, so that
+    a step counts for little. At an acceleration a it lasts about sqrt(8 e / a), with the error e.
 
     Source: Janabi-Sharifi, Hayward, Chen, Discrete-time adaptive windowing for velocity estimation,
     2000, the end-fit rule.
 
     Attributes:
-        error: How far the rates may be off, an error of an angle over the window, shape (m,),
-            rad/s.
+        error: Largest error of the rates, an angle error over the window, shape (m,), rad/s.
     """
 
     def __init__(self, joints: int) -> None:
-        """Start without a past of m joints."""
+        """Start without samples of m joints."""
         self._angles = np.zeros((_WINDOW, joints))
         self._times = np.zeros(_WINDOW)
         self.reset()
@@ -83,14 +76,14 @@ class JointRates:
         Args:
             stamp: The tick, ns.
             theta: Joint angles, shape (m,), rad.
-            rates: Joint rates as measured, shape (m,), rad/s: the answer where the angles are
-                exact, or have no past.
-            error: Of an angle, rad; 0 where they are exact.
+            rates: Measured joint rates, shape (m,), rad/s; returned if angles are exact, and at the
+                first tick.
+            error: Largest error of an angle, rad; 0 for exact angles.
         """
         if error == 0.0:
             return rates
         time, before = 1e-9 * stamp, self._times[(self._count - 1) % _WINDOW]
-        if self._count and time <= before:  # the same tick again, or all starts over
+        if self._count and time <= before:  # the same tick again, or a restart
             self._count = self._count - 1 if time == before else 0
         self._times[self._count % _WINDOW], self._angles[self._count % _WINDOW] = time, theta
         self._count += 1
@@ -103,18 +96,18 @@ class JointRates:
 
 @compiled
 def _slopes(times: Array, angles: Array, count: int, error: float) -> tuple[Array, Array]:
-    """Return the slopes of the longest lines, rad/s, and their lengths, s, each of shape (m,).
+    """Return slopes, rad/s, and durations, s, of the longest lines, each of shape (m,).
 
     Args:
         times: Ring of times, shape (n,), s.
         angles: Ring of angles, shape (n, m), rad.
-        count: How many were ever written; the last is the newest.
-        error: Of an angle, rad.
+        count: Number of samples ever written; the last is the newest.
+        error: Largest error of an angle, rad.
     """
     n, newest = len(times), (count - 1) % len(times)
     slopes, lengths = np.zeros(angles.shape[1]), np.zeros(angles.shape[1])
     for joint in range(angles.shape[1]):
-        low, high = -np.inf, np.inf  # slopes that pass all angles so far
+        low, high = -np.inf, np.inf  # slopes within the error of all angles so far
         for back in range(1, min(count, n)):
             at = (count - 1 - back) % n
             passed = times[newest] - times[at]
@@ -133,9 +126,9 @@ def stiffest(hand: Hand, inertia: Array, tick: float, late: float, error: float)
     Args:
         hand: The hand.
         inertia: M_h, shape (m, m).
-        tick: Time between two ticks, s. Rates that follow from angles are half of it late.
-        late: Time after which a torque acts, at most, s.
-        error: Of an angle, rad; 0 where angles and rates are exact.
+        tick: Time between two ticks, s. Rates estimated from angles are half of it late.
+        late: Largest delay of a torque, s.
+        error: Largest error of an angle, rad; 0 for exact angles and rates.
     """
     if error == 0.0:
         return _PHASE / late
@@ -143,21 +136,21 @@ def stiffest(hand: Hand, inertia: Array, tick: float, late: float, error: float)
 
 
 def _quietest(hand: Hand, inertia: Array, error: float) -> float:
-    """Return the bandwidth w, rad/s, with which errors e of angles shake a hand as they may.
+    """Return the bandwidth w, rad/s, at which angle errors e shake the hand as much as allowed.
 
-    Their torque M_h w^2 e may be that of a fraction of a finger's weight at its full reach.
+    Their torque M_h w^2 e may be a fraction of that of a finger's weight at its full reach.
     """
-    allowed = _SHAKES * hand.finger_weight * hand.spans.max()
+    allowed = _SHAKE * hand.finger_weight * hand.spans.max()
     return math.sqrt(allowed / (inertia.diagonal().max() * error)) if error > 0.0 else math.inf
 
 
 def spring(inertia: Array, w: float, away: Array, rates: Array) -> Array:
-    """Return M_h (w^2 away + 2 w rates), shape (m,), N m, finite whatever was measured.
+    """Return M_h (w^2 away + 2 w rates), shape (m,), N m, finite for any finite input.
 
     Args:
         inertia: M_h, shape (m, m).
         w: Bandwidth, rad/s.
-        away: From the joints to the posture to hold, shape (m,), rad.
+        away: Posture to hold less joint angles, shape (m,), rad.
         rates: Rates of that posture less those of the joints, shape (m,), rad/s.
     """
     away = np.clip(away, -_MAX_OFFSET, _MAX_OFFSET)
@@ -168,17 +161,17 @@ def spring(inertia: Array, w: float, away: Array, rates: Array) -> Array:
 def required_bandwidth(
     hand: Hand, theta: Array, contacts: Contacts, forces: Array, motions: Array | None = None
 ) -> float:
-    """Return the smallest w, rad/s, with which a grasp does not buckle, with a margin.
+    """Return the smallest w, rad/s, at which a grasp does not buckle, with a margin.
 
     It grows with the square root of the forces.
 
     Args:
         hand: The hand.
         theta: Joint angles, shape (m,), rad.
-        contacts: Where it holds an object; all fingers must touch.
+        contacts: Contacts with the object; all fingers must touch.
         forces: Internal forces on the object in palm axes, shape (k, 3), N.
-        motions: In which it may buckle, joint rates above twists, shape (m + 6, n); all of those
-            that keep the contacts by default.
+        motions: Motions in which it may buckle, joint rates above twists, shape (m + 6, n); by
+            default all motions that keep the contacts.
     """
     m, tips = hand.joints, hand.fingertips(theta)
     motions = _motions(hand, tips, contacts) if motions is None else motions
@@ -201,14 +194,14 @@ def required_bandwidth(
 
 
 class FittedGains(NamedTuple):
-    """Gains that fit a hand and what it holds; see `fitted_gains`.
+    """Gains that fit a hand and its grasp; see `fitted_gains`.
 
     Attributes:
         rest: K_c of rates that do not move the object, shape (m, m), N m s/rad.
-        damping: K_c of those that do, for each rad/s of bandwidth, shape (m, m).
-        stiffness: K_p for each rad/s of bandwidth, shape (6, 6), N/m and N m/rad.
-        needed: Bandwidth that k_f needs, rad/s for each N.
-        quietest: Bandwidth up to which errors of angles may shake the hand at any k_f, rad/s.
+        damping: K_c of rates that do, per rad/s of bandwidth, shape (m, m), N m s/rad.
+        stiffness: K_p per rad/s of bandwidth, shape (6, 6), N/m and N m/rad.
+        needed: Bandwidth that k_f needs, rad/s per N.
+        quietest: Bandwidth up to which angle errors may shake the hand at any k_f, rad/s.
         largest: 1 / T, rad/s.
     """
 
@@ -220,7 +213,11 @@ class FittedGains(NamedTuple):
     largest: float
 
     def at(self, grasp_force: float) -> tuple[Array, Array]:
-        """Return K_c, shape (m, m), and K_p, shape (6, 6), at a k_f in N."""
+        """Return K_c, shape (m, m), N m s/rad, and K_p, shape (6, 6), N/m and N m/rad.
+
+        Args:
+            grasp_force: k_f, N.
+        """
         w = min(self.largest, max(self.quietest, self.needed * grasp_force))
         return self.rest + w * self.damping, w * self.stiffness
 
@@ -237,22 +234,21 @@ def fitted_gains(
 ) -> FittedGains:
     """Return gains that fit a hand: K_c = w M_h and K_p = p D / t, with the damping D of the grasp.
 
-    Fingers alone oscillate with w = 2 / T, for torques that are held for T. An object adds inertia,
-    so w is at most 1 / T. Forces f in directions that are d old turn too late with the object,
-    which takes K_geo d of the damping: a fraction p of it at w = w_r^2 d / p, with the bandwidth
-    w_r that a hold needs at that k_f. Where errors of angles allow no more, w is that. A pose that
-    is t late takes a phase p of the stiffness. Rates that do not move the object, of redundant
-    joints or against the contacts, are damped no more than errors of angles allow.
+    Torques that are held for T make fingers oscillate at w = 2 / T. An object adds inertia, so w is
+    at most 1 / T. Directions of forces f that are d old cost the damping K_geo d, a fraction p of
+    it at w = w_r^2 d / p, with the bandwidth w_r of a hold at that k_f. This is w, unless angle
+    errors allow more. A pose that is t late costs a phase p of the stiffness. Rates that do not
+    move the object are damped as much as angle errors allow.
 
     Args:
         hand: The hand.
         theta: Joint angles, shape (m,), rad.
-        contacts: Where it holds an object; all fingers must touch.
+        contacts: Contacts with the object; all fingers must touch.
         forces: Internal forces of a k_f of 1 N in palm axes, shape (k, 3), N.
         tick: T, s.
-        touch: d: age of touch, s.
-        follows: t - d: time constant of what follows from touch, s.
-        error: Of an angle, rad.
+        touch: d, age of touch, s.
+        follows: t - d, time constant of the load observer, s.
+        error: Largest error of an angle, rad.
     """
     inertia = hand.dynamics(theta, np.zeros(hand.joints))[1]
     quietest = min(1.0 / tick, _quietest(hand, inertia, error))
@@ -279,13 +275,13 @@ def largest_damping(
 ) -> float:
     """Return the joint damping K_c, N m s/rad, above which a grasp oscillates.
 
-    A torque -K_c theta' that is held for a tick T turns the rates around where K_c T / M_h > 2, of
-    the motions that keep the contacts.
+    A torque -K_c theta' that is held for a tick T reverses the rates if K_c T / M_h > 2, in motions
+    that keep the contacts.
 
     Args:
         hand: The hand.
         theta: Joint angles, shape (m,), rad.
-        contacts: Where it holds an object; all fingers must touch.
+        contacts: Contacts with the object; all fingers must touch.
         body: Inertia of the object, linear above angular, palm axes, shape (6, 6).
         tick: T, s.
     """
@@ -298,15 +294,15 @@ def largest_damping(
 def largest_stiffness(
     hand: Hand, theta: Array, contacts: Contacts, damping: float, late: float
 ) -> tuple[float, float]:
-    """Return k_p, N/m, and k_o, N m/rad, above which the delay of their torque takes all damping.
+    """Return k_p, N/m, and k_o, N m/rad, above which the delay of their torque cancels the damping.
 
-    A force -k x that is d late is one with k d less damping: k d < D, with the damping D of a grasp
-    in the direction where it is least.
+    A force -k x that is d late lowers the damping by k d: k d < D, with the minimum damping D of
+    the grasp in any direction.
 
     Args:
         hand: The hand.
         theta: Joint angles, shape (m,), rad.
-        contacts: Where it holds an object; all fingers must touch.
+        contacts: Contacts with the object; all fingers must touch.
         damping: K_c, N m s/rad.
         late: d, s.
     """
@@ -328,7 +324,7 @@ def _motions(hand: Hand, tips: Fingertips, contacts: Contacts) -> Array:
 
 
 def _kernel(matrix: Array) -> Array:
-    """Return an orthonormal basis of what a matrix maps to zero, one vector a column."""
+    """Return an orthonormal basis of the kernel of a matrix, one vector per column."""
     _, sizes, basis = np.linalg.svd(matrix)
     return np.asarray(basis[int((sizes > 1e-9 * sizes.max(initial=0.0)).sum()) :].T)
 
@@ -343,8 +339,8 @@ def _minimum_ratio(a: Array, b: Array) -> float:
 def bearable_fraction(part: Array, rest: Array, limits: Array) -> float:
     """Return the largest s for which |s part + rest| stays within the effort limits.
 
-    A joint at its limit gives less than it is asked for, so that the internal force no longer
-    balances and pushes the object away. The same fraction in all joints keeps the balance.
+    If a single joint stayed at its limit, the internal force would no longer balance and would push
+    the object away. The same fraction in all joints keeps the balance.
 
     Args:
         part: Torque of the internal force, or of the drive, shape (m,), N m.
@@ -352,7 +348,7 @@ def bearable_fraction(part: Array, rest: Array, limits: Array) -> float:
         limits: Effort limits of the joints, shape (m,), N m.
 
     Returns:
-        From 0 to 1; 1 where the limits allow the whole torque.
+        From 0 to 1; 1 if the limits allow the full torque.
     """
     fraction = 1.0
     for i in range(len(limits)):
@@ -363,7 +359,7 @@ def bearable_fraction(part: Array, rest: Array, limits: Array) -> float:
 
 
 class GuardHoldConfig(Config):
-    """How joints are held while there is no command for them."""
+    """Parameters of the hold without a command."""
 
     resolution: float = param(
         0.0, "error of a measured joint angle, 0 if exact", unit="rad", ge=0.0, le=0.1
@@ -371,19 +367,17 @@ class GuardHoldConfig(Config):
     stopping_time: float = param(
         0.006, "time constant with which moving joints come to rest", unit="s", gt=0.0, le=1.0
     )
-    reserve: float = param(
-        0.2, "fraction by which the grasp force is raised immediately", ge=0.0, le=2.0
-    )
+    reserve: float = param(0.2, "immediate rise of the grasp force, as a fraction", ge=0.0, le=2.0)
     friction: float = param(
-        0.2, "friction that load is assumed to have which comes during the hold", gt=0.0, le=10.0
+        0.2, "friction coefficient assumed for loads that appear during a hold", gt=0.0, le=10.0
     )
-    squeeze_limit: float = param(
+    internal_force_limit: float = param(
         40.0, "sum of internal forces above which the hold adds none", unit="N", ge=0.0, le=1e4
     )
 
 
 class JointTerms(NamedTuple):
-    """What the hand's model says of a posture.
+    """Kinematics and dynamics of the hand at one posture.
 
     Attributes:
         tips: Fingertip centers and Jacobians.
@@ -400,7 +394,7 @@ _LOAD_TIME = 0.005  # s over which the load is averaged
 
 
 class GuardHold:
-    """Holds the joints from joint states alone; `engage` at the first tick, `step` at each.
+    """Holds the joints from joint states alone: call `engage` first, then `step` at each tick.
 
     Attributes:
         reference: Posture and rates on the way to rest, each of shape (m,), rad and rad/s.
@@ -408,7 +402,7 @@ class GuardHold:
     """
 
     def __init__(self, config: GuardHoldConfig, hand: Hand, tick: float) -> None:
-        """Take the model.
+        """Build the hold.
 
         Args:
             config: Stiffness, braking and internal force.
@@ -418,40 +412,45 @@ class GuardHold:
         self._config, self._hand, self._tick = config, hand, tick
 
     def engage(self, theta: Array, rates: Array, pressed: Array) -> None:
-        """Hold from now on.
+        """Start a hold.
 
         Args:
             theta: Joint angles, shape (m,), rad.
             rates: Joint rates, shape (m,), rad/s.
-            pressed: Torque tau_c with which the contacts press, shape (m,), N m.
+            pressed: Torque tau_c of the contacts, shape (m,), N m.
         """
         self._pressed, self._deflected = pressed.copy(), np.zeros(len(pressed))
         tips, inertia, _ = self._hand.dynamics(theta, rates)
-        # A torque is held for a tick, so half a tick late; the other half is for the drive.
+        # A torque that is held for a tick is half a tick late; the other half is for the drive.
         how = self._tick, self._tick, self._config.resolution
         self.bandwidth = stiffest(self._hand, inertia, *how)
         _, internal = split_forces(tip_forces(tips, pressed))
         self._internal_force = float(np.linalg.norm(internal, axis=1).sum())
         self._internal = joint_torque(tips, internal)
-        self._most = self._largest_factor()
-        self._factor = min(1.0 + self._config.reserve, self._most)
+        self._largest = self._largest_factor()
+        self._factor = min(1.0 + self._config.reserve, self._largest)
         self.brake(theta, rates)
 
     def _largest_factor(self) -> float:
         """Return s at the limit of the internal force or of a joint, at least 1."""
-        if self._internal_force < self._hand.least_force:
+        if self._internal_force < self._hand.minimum_force:
             return 1.0
         room = self._hand.effort_limits - np.abs(self._pressed)
         moved = np.abs(self._internal)
         joints = room[moved > 0.0] / moved[moved > 0.0]
         factors = [
-            self._config.squeeze_limit / self._internal_force,
+            self._config.internal_force_limit / self._internal_force,
             1.0 + float(np.min(joints, initial=np.inf)),
         ]
         return max(1.0, min(factors))
 
     def brake(self, theta: Array, rates: Array) -> None:
-        """Come to rest from this posture and these rates, with the internal force as it is."""
+        """Come to rest from here; the internal force stays.
+
+        Args:
+            theta: Joint angles, shape (m,), rad.
+            rates: Joint rates, shape (m,), rad/s.
+        """
         self._start, self._speed, self._ticks = theta.copy(), rates.copy(), 0
         self.reference = self._start, self._speed
 
@@ -461,11 +460,11 @@ class GuardHold:
         """Return the holding torque, shape (m,), N m.
 
         Args:
-            joints: Angles, rad, and rates, rad/s, each of shape (m,); None where they are not
-                known, and are assumed to follow the reference.
+            joints: Angles, rad, and rates, rad/s, each of shape (m,); None if unknown, as if they
+                followed the reference.
             terms: The model at this posture.
-            follows: Whether the internal force follows the load; not while a command takes over,
-                whose drive is no load.
+            follows: Whether the internal force follows the load. False while a command takes over,
+                since its drive is not a load.
         """
         acceleration = self._move_reference()
         posture, speed = self.reference
@@ -478,12 +477,12 @@ class GuardHold:
         return np.asarray(held + spring(terms.inertia, w, away, speed - rates))
 
     def _follow_load(self, terms: JointTerms, away: Array) -> None:
-        """Raise the internal force by what the load has grown; it never falls while holding.
+        """Raise the internal force with the load; it never falls during a hold.
 
-        The load has deflected the spring, which angles alone show: no noise of rates is taken for
-        it. Angles know it to their resolution.
+        The load is the deflection of the spring, from angles alone and beyond their resolution, so
+        that noise of the rates does not count.
         """
-        if self._internal_force < self._hand.least_force:
+        if self._internal_force < self._hand.minimum_force:
             return
         fraction = -math.expm1(-self._tick / _LOAD_TIME)
         self._deflected = self._deflected + fraction * (away - self._deflected)
@@ -493,12 +492,12 @@ class GuardHold:
         )
         load, _ = split_forces(tip_forces(terms.tips, stiffness @ deflection))
         factor = 1.0 + float(np.linalg.norm(load)) / (c.friction * self._internal_force)
-        self._factor = min(max(self._factor, factor), self._most)
+        self._factor = min(max(self._factor, factor), self._largest)
 
     def _move_reference(self) -> Array:
-        """Move the reference ahead on the way to rest; return its acceleration, which has no jerk.
+        """Move the reference towards rest; return its acceleration, shape (m,), rad/s^2.
 
-        With x = t / T: q' = theta'_0 (1 + x) e^-x, which ends 2 T theta'_0 from the start.
+        With x = t / T: q' = theta'_0 (1 + x) e^-x, which stops 2 T theta'_0 from the start.
         """
         stopping = self._config.stopping_time
         x = self._ticks * self._tick / stopping
@@ -510,9 +509,13 @@ class GuardHold:
 
 
 def tip_forces(tips: Fingertips, torque: Array) -> Array:
-    """Return the forces at the tip centers that a joint torque balances, shape (k, 3), N.
+    """Return the forces at the tip centers that balance a joint torque, shape (k, 3), N.
 
-    The least-squares solution of J_i^T f_i = tau, exact for fingers of three joints.
+    The least-squares solution of J_i^T f_i = tau, exact for fingers with three joints.
+
+    Args:
+        tips: Fingertip centers and Jacobians.
+        torque: tau, shape (m,), N m.
     """
     rows = tips.linear.reshape(-1, tips.linear.shape[-1])
     forces = np.linalg.lstsq(rows.T, torque, rcond=1e-6)[0]
@@ -520,15 +523,22 @@ def tip_forces(tips: Fingertips, torque: Array) -> Array:
 
 
 def joint_torque(tips: Fingertips, forces: Array) -> Array:
-    """Return the joint torques of forces at the tip centers, shape (m,), N m."""
+    """Return the joint torques of forces at the tip centers, shape (m,), N m.
+
+    Args:
+        tips: Fingertip centers and Jacobians.
+        forces: In palm axes, shape (k, 3), N.
+    """
     return np.asarray(np.einsum("kim,ki->m", tips.linear, forces))
 
 
 def split_forces(forces: Array) -> tuple[Array, Array]:
-    """Return the load that tip forces carry, shape (3,), N, and the forces without it, (k, 3).
+    """Return the sum of tip forces, the load, shape (3,), N, and the forces less their mean.
 
-    The load is their sum, which all tips share alike. Torques on the object cannot be separated
-    from the internal force: that needs the contacts, and here only the tips are known.
+    Torques on the object cannot be separated from the internal force without the contacts.
+
+    Args:
+        forces: At the tips, palm axes, shape (k, 3), N.
     """
     load = forces.sum(axis=0)
     return load, forces - load / len(forces)

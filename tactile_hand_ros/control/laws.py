@@ -44,29 +44,17 @@ class LawConfig(Config):
     )
     folder: str = param("", "folder with the module of your own law; empty for PYTHONPATH")
     k_p: float = param(
-        0.0, "position gain, 0 for one that fits the hand", unit="N/m", live=True, ge=0.0, le=1e4
+        0.0, "position gain, 0 to fit the hand", unit="N/m", live=True, ge=0.0, le=1e4
     )
     k_o: float = param(
-        0.0,
-        "orientation gain, 0 for one that fits the hand",
-        unit="N m/rad",
-        live=True,
-        ge=0.0,
-        le=1e3,
+        0.0, "orientation gain, 0 to fit the hand", unit="N m/rad", live=True, ge=0.0, le=1e3
     )
     damping: float = param(
-        0.0,
-        "joint damping K_c, 0 for one that fits the hand",
-        unit="N m s/rad",
-        live=True,
-        ge=0.0,
-        le=1e2,
+        0.0, "joint damping K_c, 0 to fit the hand", unit="N m s/rad", live=True, ge=0.0, le=1e2
     )
-    k_st: float = param(
-        0.0, "gain of the relative attitude term in (8)", unit="N m/rad", live=True, ge=0.0
-    )
+    k_st: float = param(0.0, "gain of the attitude term in (8)", unit="N m/rad", live=True, ge=0.0)
     r_ref: tuple[float, float, float] = param(
-        (0.0, 0.0, 0.0), "reference of the relative attitude term in (8)", unit="rad", live=True
+        (0.0, 0.0, 0.0), "reference of the attitude term in (8)", unit="rad", live=True
     )
     integral: IntegralConfig = IntegralConfig()
     observer: ObserverConfig = ObserverConfig()
@@ -82,19 +70,19 @@ class LawConfig(Config):
 
 
 class AuxiliaryPose(NamedTuple):
-    """What the hand estimates of the object: a centroid and the virtual frame, palm frame."""
+    """Estimated pose of the object: contact centroid, m, and virtual frame, in the palm frame."""
 
     position: Array
     orientation: Array
 
 
 class Target(NamedTuple):
-    """Where the hand is to bring the grasp: p_d and R_pod in the palm frame; NaN keeps its own.
+    """Desired pose of the grasp, p_d and R_pod in the palm frame; NaN keeps the present value.
 
     Attributes:
         position: p_d, shape (3,), m.
         orientation: R_pod, shape (3, 3).
-        sent: Quaternion of R_pod as a message carried it, x, y, z, w; None without one.
+        sent: Quaternion of R_pod in the message (x, y, z, w), shape (4,); None without one.
     """
 
     position: Array
@@ -103,21 +91,30 @@ class Target(NamedTuple):
 
     @classmethod
     def of(cls, position: Array, quaternion: Array) -> Target:
-        """Return the target that a message names, shapes (3,), m, and (4,)."""
+        """Return the target of a message.
+
+        Args:
+            position: p_d, shape (3,), m.
+            quaternion: R_pod (x, y, z, w), shape (4,).
+        """
         return cls(position, rotation_from_quaternion(quaternion), quaternion)
 
     @property
     def quaternion(self) -> Array:
-        """Quaternion of R_pod, x, y, z, w, the very one that was sent, shape (4,)."""
+        """Quaternion of R_pod (x, y, z, w), exactly as sent, shape (4,)."""
         return quaternion_from_rotation(self.orientation) if self.sent is None else self.sent
 
     @property
     def is_whole(self) -> bool:
-        """Whether nothing of it is to be kept."""
+        """Whether position and orientation are both given."""
         return not (np.isnan(self.position).any() or np.isnan(self.orientation).any())
 
     def kept(self, pose: AuxiliaryPose) -> Target:
-        """Return it with what it keeps taken from a pose of the grasp."""
+        """Return it with the missing part taken from a pose.
+
+        Args:
+            pose: Pose of the grasp.
+        """
         if self.is_whole:
             return self
         position = pose.position if np.isnan(self.position).any() else self.position
@@ -127,11 +124,11 @@ class Target(NamedTuple):
 
 
 class LawTorque(NamedTuple):
-    """Joint torques of a law by what they are for, each of shape (m,), N m.
+    """Joint torques of a law by purpose, each of shape (m,), N m.
 
     Attributes:
-        internal: Of the internal force; does no work on a rigid grasp.
-        load_compensation: Carries what weighs on the object: integral action and observed load.
+        internal: Internal force; does no work on a rigid grasp.
+        load_compensation: Carries the load on the object: integral action and observer.
         drive: Moves the object towards its target.
         damping: -K_c theta'.
     """
@@ -148,7 +145,7 @@ class LawTorque(NamedTuple):
 
 
 class LawInput(NamedTuple):
-    """What a law sees at one tick: joints and touch, nothing of the object.
+    """Input of a law at one tick.
 
     Attributes:
         tips: Fingertip centers and Jacobians.
@@ -164,10 +161,19 @@ class LawInput(NamedTuple):
 
 
 class Law(Protocol):
-    """One of the laws, built once for a configuration.
+    """Interface of a law; it is built once for a configuration.
+
+    A law of your own may derive from one of the three, such as (14) with twice the internal force:
+
+    >>> class Firm(OptimalLaw):
+    ...     def internal_torque(self):
+    ...         return 2.0 * super().internal_torque()
+    >>> from tactile_hand_ros import simulate
+    >>> simulate("paper", {"duration": 0.1, "targets": []}, law=Firm).metrics.ticks
+    51
 
     Attributes:
-        seen: What it answers to; `ManipulationLaw` puts it there at every tick.
+        seen: Input at this tick, set by `ManipulationLaw`.
     """
 
     seen: LawInput
@@ -176,11 +182,15 @@ class Law(Protocol):
         """Return the torques of the internal force, shape (m,), N m."""
 
     def drive(self, wrench: Array) -> Array:
-        """Return the torques for a wrench about the contact centroid, shape (6,)."""
+        """Return the torques that apply a wrench to the object, shape (m,), N m.
+
+        Args:
+            wrench: Force and torque about the contact centroid, shape (6,), N and N m.
+        """
 
 
 LawFactory = Callable[[LawConfig, Array], Law]
-"""Makes a law from its gains and the radii of the fingertips; a class with that constructor."""
+"""Makes a law from its gains and the radii of the fingertips, such as a class of laws."""
 
 
 class ManipulationLaw:
@@ -191,12 +201,12 @@ class ManipulationLaw:
     """
 
     def __init__(self, config: LawConfig, radii: Array, law: LawFactory | None = None) -> None:
-        """Build a law for fingertips of the given radii, shape (k,), m.
+        """Build the law.
 
         Args:
-            config: Which of the three laws, and the gains.
+            config: Name and gains of the law.
             radii: Radii of the fingertips, shape (k,), m.
-            law: Another law in the place of the one that `config` names.
+            law: A law that replaces the one in `config`.
         """
         self._factory = law
         self._radii = np.asarray(radii)
@@ -212,7 +222,7 @@ class ManipulationLaw:
         self.configure(config)
 
     def configure(self, config: LawConfig) -> None:
-        """Take other gains; integral and observed load stay, unless they are switched off."""
+        """Change the gains; integral and observed load stay unless they are switched off."""
         self.config = config
         self._law = (self._factory or law_of(config))(config, self._radii)
         self._gains = np.repeat([config.k_p, config.k_o], 3)
@@ -224,11 +234,11 @@ class ManipulationLaw:
 
     @property
     def fits(self) -> bool:
-        """Whether all gains are given, so that it needs none that fit the hand."""
+        """Whether all gains are given, so that none must be fitted to the hand."""
         return bool((self._gains > 0.0).all()) and self.config.damping > 0.0
 
     def fit(self, gains: FittedGains) -> None:
-        """Take gains of the hand for those that are not given."""
+        """Use fitted gains where none are given."""
         self._fitted = gains
 
     def reset(self) -> None:
@@ -239,7 +249,7 @@ class ManipulationLaw:
         self._pose, self._offset, self._changed = None, None, False
 
     def change_fingers(self) -> None:
-        """Let other fingers touch from the next tick on: pose and load continue as they are."""
+        """Use other fingers from the next tick on; pose and load do not jump."""
         self._changed = True
 
     @property
@@ -248,9 +258,13 @@ class ManipulationLaw:
         return self._integral.copy()
 
     def auxiliary_pose(self, tips: Fingertips, contacts: Contacts) -> AuxiliaryPose:
-        """Return what the hand estimates of the object's pose.
+        """Return the estimated pose of the object, palm frame.
 
         Laws (10) and (14) follow the contact points, law (8) the fingertip centers.
+
+        Args:
+            tips: Fingertip centers and Jacobians.
+            contacts: Contact points and frames.
 
         Raises:
             GraspError: If the points do not define a frame (A7).
@@ -271,7 +285,7 @@ class ManipulationLaw:
         return pose
 
     def _move_wrenches(self, arm: Array) -> None:
-        """Take what is carried about another point; `arm` leads from there to the last, (3,), m."""
+        """Move the reference point of the wrenches by -arm, shape (3,), m."""
         for wrench in (self._integral, self._observer.wrench):
             wrench[3:] += np.cross(arm, wrench[:3])
 
@@ -318,7 +332,7 @@ class ManipulationLaw:
         return LawTorque(law.internal_torque(), load, law.drive(wrench), -damping)
 
     def _carried(self, contacts: Contacts, forces: Array | None, dt: float) -> Array | None:
-        """Return what integral and observer carry, shape (6,), or None while both are off."""
+        """Return the wrench of integral and observer, shape (6,), or None while both are off."""
         c = self.config
         observes = c.observer.time > 0.0 and forces is not None
         if not observes:
@@ -337,19 +351,24 @@ class ManipulationLaw:
 
 @compiled
 def _integrate(integral: Array, error: Array, k_p: float, k_o: float, dt: float) -> None:
-    """Integrate an error, both of shape (6,), over a time in s; a part without a gain is zero."""
+    """Integrate an error, shape (6,), over dt in s; a part without a gain is zero."""
     for i in range(6):
         gain = k_p if i < 3 else k_o
         integral[i] = integral[i] + gain * dt * error[i] if gain != 0.0 else 0.0
 
 
 class KawamuraLaw:
-    """Equation (8): press towards the tips' centroid, turn the object by turning the tips."""
+    """Equation (8): press towards the centroid of the tips, and turn the object with the tips."""
 
     seen: LawInput
 
     def __init__(self, config: LawConfig, radii: Array) -> None:
-        """Build the law for fingertips of the given radii, shape (k,), m."""
+        """Build the law.
+
+        Args:
+            config: Its gains.
+            radii: Radii of the fingertips, shape (k,), m.
+        """
         self._reach = radii.sum()
         self._attitude = config.k_st * np.array(config.r_ref)
 
@@ -362,7 +381,7 @@ class KawamuraLaw:
         return np.asarray(np.einsum("kim,ki->m", tips.linear, pull) + attitude)
 
     def drive(self, wrench: Array) -> Array:
-        """Return the torques for a wrench, shape (6,), that every finger applies in full."""
+        """Return the torques for a full wrench at each finger; see `Law.drive`."""
         tips = self.seen.tips
         moving = np.einsum("kim,i->m", tips.linear, wrench[:3])
         return np.asarray(moving + np.einsum("kim,i->m", tips.angular, wrench[3:]))
@@ -374,7 +393,7 @@ class ContactLaw:
     seen: LawInput
 
     def __init__(self, config: LawConfig, radii: Array) -> None:
-        """Build the law; it needs no gains of its own and no radii."""
+        """Build the law; it has no parameters."""
 
     def internal_forces(self) -> Array:
         """Return the internal forces in palm axes, shape (k, 3), N."""
@@ -386,7 +405,7 @@ class ContactLaw:
         return self._pressing(self.internal_forces())
 
     def drive(self, wrench: Array) -> Array:
-        """Return the torques for a wrench about the contact centroid, shape (6,)."""
+        """Return the torques of the smallest forces with a wrench; see `Law.drive`."""
         return self._pressing(wrench_forces(self.seen.contacts.positions, wrench))
 
     def _pressing(self, forces: Array) -> Array:
@@ -409,15 +428,17 @@ LAWS: dict[str, LawFactory] = {
 }
 
 OWN_LAWS: dict[tuple[str, str], LawFactory] = {}
-"""Laws of the user's own by name and folder, as `own_law.take_law` has imported them."""
+"""Laws of users by name and folder, imported by `own_law.take_law`."""
 
 
 def law_of(config: LawConfig) -> LawFactory:
     """Return the law that a configuration names.
 
+    Args:
+        config: Name and folder of the law.
+
     Raises:
-        ConfigurationError: If it is the user's own and was not imported, as when only a bag names
-            it.
+        ConfigurationError: If it is a law of a user that was not imported.
     """
     factory = LAWS.get(config.name) or OWN_LAWS.get((config.name, config.folder))
     if factory is None:

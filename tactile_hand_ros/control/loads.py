@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a grasp carries: the load in the measured forces, the reserve, the force that holds.
+"""Loads of a grasp: their part of the measured forces, the required k_f, the load observer.
 
-The law (14) presses with f = k_f f* + G~^+ w: an internal force, which balances itself and grows
-with k_f, and a load, which does not.
+Under the law (14) contact forces are f = k_f f* + G~^+ w. The internal force k_f f* balances itself
+and grows with k_f. The load G~^+ w does neither.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from tactile_hand_ros.rotations import cross, dot
 Array = NDArray[np.float64]
 
 
-_GRAZES = 1e-12  # fraction by which rounding may miss a double root, where nothing is tangential
+_GRAZES = 1e-12  # fraction by which rounding may miss a double root, without tangential forces
 
 
 class Split(NamedTuple):
@@ -32,7 +32,7 @@ class Split(NamedTuple):
         load: Smallest forces with the measured net wrench, shape (k, 3), N.
         internal: The rest, which balances itself, shape (k, 3), N.
         grasp_force: Sum of the normal internal forces, N.
-        margin: Collinearity margin of the contacts; on a line the split is of no use.
+        margin: Collinearity margin of the contacts; on a line the split is undefined.
     """
 
     load: Array
@@ -43,7 +43,7 @@ class Split(NamedTuple):
 
 @compiled
 def split(points: Array, normals: Array, forces: Array) -> Split:
-    """Split measured forces as the law (14) composes them: f = k_f f* + G~^+ w.
+    """Return forces as the sum of the law (14): f = k_f f* + G~^+ w.
 
     Args:
         points: Contact points in the palm frame, shape (k, 3), m.
@@ -66,7 +66,7 @@ def split(points: Array, normals: Array, forces: Array) -> Split:
 
 
 def split_part(points: Array, normals: Array, forces: Array, held: NDArray[np.bool_]) -> Split:
-    """Split the forces of some contacts as `split` does; the others, not in the mask, have none."""
+    """Return the `split` of contacts in a mask, shape (k,); the parts of the others are zero."""
     if held.all():
         return split(points, normals, forces)
     parts = split(points[held], normals[held], forces[held])
@@ -84,14 +84,14 @@ def required_grasp_force(
     The boundary of the cone |F - n (n.F)| = mu n.F is quadratic in k.
 
     Args:
-        load: Force of a contact that does not grow with the grasp force, shape (3,), N.
+        load: Load of a contact, shape (3,), N.
         shape: Force of the contact per unit internal force, shape (3,).
         normal: n of the contact into the object, shape (3,), in the axes of the forces.
         usable_friction: mu of the cone.
         support: Normal force that the load may lose, N; see `shift`.
 
     Returns:
-        k in N; infinite when no grasp force of this shape puts it there.
+        k in N; infinite if no grasp force of this shape suffices.
     """
     ln, sn = dot(load, normal), dot(shape, normal)
     lessened, square = ln - support, usable_friction * usable_friction
@@ -103,35 +103,34 @@ def required_grasp_force(
     inside = b * b - a * c
     if a == 0.0 or inside < -_GRAZES * b * b:
         return math.inf
-    # A shape inside the cone (a < 0) enters it at the larger root for good; one outside passes
-    # through it from the smaller root on, if at all.
+    # A shape inside the cone (a < 0) stays in it from the larger root on. One outside enters it at
+    # the smaller root, if at all.
     k = (-b - math.sqrt(max(0.0, inside))) / a
     return k if k >= 0.0 and lessened + k * sn >= -_GRAZES * abs(lessened) else math.inf
 
 
 class ReserveConfig(Config):
-    """How much more than it measures a grasp is ready for."""
+    """Loads beyond the measured one for which a grasp is ready."""
 
     floor: float = param(
         0.6,
-        "force on the object that may come at any time, per weight of a finger: one that starts, "
-        "stops or bumps into something loads the object",
+        "force on the object that may appear at any time, per weight of a finger, as when a finger "
+        "starts, stops or hits an obstacle",
         live=True,
         ge=0.0,
     )
-    share: float = param(
-        0.2, "fraction of the largest recent load that may come on top", live=True, ge=0.0, le=2.0
+    fraction: float = param(
+        0.2, "additional load, as a fraction of the largest recent one", live=True, ge=0.0, le=2.0
     )
 
 
 class CarriedLoad(NamedTuple):
-    """What a grasp carries and may use: one estimate, for k_f and for f*.
+    """Estimated load and usable friction of a grasp, for k_f and f*.
 
     Attributes:
-        load: Forces that do not grow with the grasp force, contact frames, shape (k, 3), N; NaN
-            where there is no grasp.
-        friction: mu that the contacts may use, the learned one less a margin, shape (k,).
-        reserve: Load in any direction that may come on top at each contact, shape (k,), N.
+        load: Load in contact frames, shape (k, 3), N; NaN without a grasp.
+        friction: Usable mu of each contact, the learned one less a margin, shape (k,).
+        reserve: Additional load in any direction for each contact, shape (k,), N.
     """
 
     load: Array
@@ -141,7 +140,12 @@ class CarriedLoad(NamedTuple):
 
 @compiled
 def shift(radius: float, friction: float) -> float:
-    """Return by how much a cone is moved along its normal for a radius of loads, in N."""
+    """Return how far a cone moves along its normal for a ball of loads, N.
+
+    Args:
+        radius: Radius of the ball, N.
+        friction: mu of the cone.
+    """
     return radius * math.sqrt(1.0 + 1.0 / (friction * friction))
 
 
@@ -156,20 +160,15 @@ class ObserverConfig(Config):
 
 
 class LoadObserver:
-    """What weighs on the object, from the contact forces: the part that (14) leaves to an error.
+    """Estimates the load on the object from the contact forces.
 
-    The law (14) carries a load w_e only by an error e = -w_e / k_p: half a meter for 0.18 kg with
-    Table I's gains. But the net contact force is f = m_o a - w_e, so that
+    The law (14) alone carries a load w_e by an error e = -w_e / k_p. The net contact force of an
+    object of mass m_o is f = m_o a - w_e. Adding hat w = F(s) f, F(s) = 1 / (T s + 1), to K_p e
+    gives, with the hand's inertia M at the object,
 
-        hat w = F(s) f,   F(s) = 1 / (T s + 1),   added to the manipulation wrench K_p e,
+        (M + (1 - F) m_o) a + c v + k_p x = k_p x_d + (1 - F) w_e,
 
-    turns M a = K_p e + hat w - c v - f (M: the hand's inertia at the object) into
-
-        (M + (1 - F) m_o) a + c v + k_p x = k_p x_d + (1 - F) w_e.
-
-    The load is high-passed: a constant one leaves no error, and the hand meets a step after T. The
-    loop is positive feedback of force with gain m_o / (M + m_o) < 1. It costs damping: 1 - F takes
-    m_o T w^2 / (1 + w^2 T^2) at a frequency w, little for short T.
+    so that a constant load leaves no error. See docs/explanation/loads.md.
     """
 
     def __init__(self) -> None:
@@ -209,7 +208,7 @@ def _followed(
     force_limit: float,
     torque_limit: float,
 ) -> Array:
-    """Return an observed wrench moved towards the measured one where that is finite."""
+    """Return an observed wrench moved towards the measured one if that is finite."""
     measured, out = net_wrench(points, rotations, forces), before.copy()
     if np.isfinite(measured).all():
         out += fraction * (measured - out)
@@ -219,14 +218,20 @@ def _followed(
 
 @compiled
 def limit_wrench(wrench: Array, force_limit: float, torque_limit: float) -> None:
-    """Shorten force and torque of a wrench, shape (6,), in place to at most their limits."""
+    """Shorten force and torque of a wrench in place to their limits.
+
+    Args:
+        wrench: Force and torque, shape (6,), N and N m.
+        force_limit: Largest force, N.
+        torque_limit: Largest torque, N m.
+    """
     limit_length(wrench[:3], force_limit)
     limit_length(wrench[3:], torque_limit)
 
 
 @compiled
 def limit_length(vector: Array, limit: float) -> None:
-    """Shorten a vector of shape (3,) in place to at most a length."""
+    """Shorten a vector of shape (3,) in place to a length `limit` in its unit."""
     x, y, z = vector
     length = math.sqrt(x * x + y * y + z * z)
     if length > limit:

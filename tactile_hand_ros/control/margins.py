@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How far the assumptions A1 to A7 are from breaking, from joints and touch alone.
+"""Margins of the assumptions A1 to A7, from joints and touch alone.
 
-A margin is positive while its assumption holds; where touch knows no limit (A1, A3) it is the
-quantity itself.
+A margin is positive while its assumption holds. Where touch cannot measure a limit (A1, A3) it is
+the quantity itself.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ from tactile_hand_ros.control.contact import Contacts, hand_jacobian
 from tactile_hand_ros.control.grasp import collinearity_margin, joint_margin, net_wrench
 from tactile_hand_ros.control.slip.detector import ContactState
 
-if TYPE_CHECKING:  # the regulator watches margins too, and loads no model of the hand
+if TYPE_CHECKING:  # the regulator computes margins, too, without a model of the hand
     from tactile_hand_ros.hand.hand import Hand
 
 Array = NDArray[np.float64]
 
 REACTION = 0.02
-"""Time within which slip prevention must have ended a slip (A6) [s]."""
+"""Time within which slip prevention must stop a slip (A6) [s]."""
 
 
 TIP = np.array([1.0, 0.0, 0.0])
@@ -43,12 +43,17 @@ def local_normals(normals: Array, tips: Array) -> Array:
 
 
 def angles_between(a: Array, b: Array) -> Array:
-    """Return the angles between unit vectors, shape (...), rad."""
+    """Return the angles between unit vectors, shape (...), rad.
+
+    Args:
+        a: Unit vectors, shape (..., 3).
+        b: Unit vectors in the same frame, shape (..., 3).
+    """
     return np.asarray(np.arccos(np.clip((a * b).sum(axis=-1), -1.0, 1.0)))
 
 
 def cone_distances(forces: Array, learned_friction: Array) -> Array:
-    """Return mu f_n - |f_t| of each contact, how far it is inside its friction cone, N.
+    """Return the distance of each force inside its friction cone, mu f_n - |f_t|, N.
 
     Args:
         forces: Contact forces in contact frames, shape (..., k, 3), N.
@@ -60,13 +65,13 @@ def cone_distances(forces: Array, learned_friction: Array) -> Array:
 
 @dataclass(frozen=True)
 class GraspMargins:
-    """What joints and contacts show.
+    """Margins from joints and contacts.
 
     Attributes:
-        face_travel: A1, how far the contacts have wandered over their fingertips since they were
-            first seen, m; an edge of the face is that much nearer, touch shows no more of it.
+        face_travel: A1, largest distance of a contact on its fingertip from its first place, m.
+            An edge of the face may be closer by that distance.
         hemisphere: A2, angle left to the rims of the fingertips, rad.
-        joint: A5, minimum singular value of J_h, m/rad; 0 where a joint posture is singular.
+        joint: A5, minimum singular value of J_h, m/rad; 0 in a singular posture.
         collinearity: A7, second to first extent of the contacts; 0 on a line or with fewer than
             three.
     """
@@ -78,19 +83,19 @@ class GraspMargins:
 
 
 UNKNOWN_MARGINS = GraspMargins(np.nan, np.nan, np.nan, 0.0)
-"""Without contacts: nothing is known, and three contacts off a line (A7) are not there."""
+"""Margins without a grasp: unknown, and A7 broken."""
 
 
 class GraspMonitor:
-    """Computes the margins of a grasp, and remembers where its contacts began."""
+    """Computes the margins of a grasp from its present and first contacts."""
 
     def __init__(self, hand: Hand) -> None:
-        """Watch the contacts of a hand."""
+        """Start without a grasp of a hand."""
         self._hand = hand
         self._first: Array | None = None
 
     def reset(self) -> None:
-        """Begin with a new grasp."""
+        """Start with a new grasp."""
         self._first = None
 
     def margins(self, theta: Array, contacts: Contacts) -> GraspMargins:
@@ -121,13 +126,13 @@ class GraspMonitor:
 
 
 class SlipMonitor:
-    """Worst margins of force and slip since they were last asked for, over every tick.
+    """Worst margins of force and slip over all ticks since the last `clear`.
 
     Attributes:
-        load: A3, largest net contact force, N: weight, acceleration and whatever pulls.
+        load: A3, largest net contact force, N: weight, acceleration and pulls.
         evidence: A4, evidence for slip left before an alarm, 1 to 0.
         cone: A4, minimum distance to a cone of the learned friction, N.
-        time_left: A6, time left to end a slip, s; negative where one has lasted for too long.
+        time_left: A6, time left to stop a slip, s; negative if one has lasted too long.
     """
 
     def __init__(self) -> None:
@@ -140,7 +145,7 @@ class SlipMonitor:
         self.clear()
 
     def clear(self) -> None:
-        """Begin a new interval; a slip continues."""
+        """Start a new interval; a slip continues."""
         self.load = self.evidence = self.cone = np.nan
         self.time_left = REACTION
 
@@ -153,13 +158,13 @@ class SlipMonitor:
         grip: NDArray[np.int_],
         likelihood: Array,
     ) -> None:
-        """Note a tick.
+        """Update the margins with a tick.
 
         Args:
             stamp: The tick, ns.
             contacts: Contacts by touch.
             forces: Measured forces in contact frames, shape (k, 3), N.
-            learned_friction: mu as the regulator has learned it, shape (k,).
+            learned_friction: Learned mu, shape (k,).
             grip: `ContactState` of each contact, shape (k,).
             likelihood: Evidence for slip, 0 to 1, shape (k,).
         """
@@ -189,7 +194,7 @@ def _noted(
     grip: NDArray[np.int_],
     likelihood: Array,
 ) -> tuple[float, float, float, bool]:
-    """Return the worst of margins and a tick, NaN where neither is known, and whether one slips."""
+    """Return the worst of margins and a tick, NaN if both are unknown, and whether one slips."""
     x, y, z = net_wrench(positions, rotations, forces)[:3]
     load, slips = np.fmax(load, math.sqrt(x * x + y * y + z * z)), False
     for i in range(len(grip)):

@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Laws of the user's own, ``module:Class``.
+"""Laws of users, ``module:Class``.
 
-Importing a module runs its code. So nothing is imported because a configuration names it: a bag
-may come from anywhere. `take_law` imports, and is called only with what the user has named, in a
-scenario file, on a command line or as a parameter of a node. All others find what it has taken.
+Importing a module runs its code, and a bag may come from anywhere. Only `take_law` imports. Call it
+only with a law that the user has named: in a scenario file, on the command line or as a parameter.
 """
 
 from __future__ import annotations
@@ -22,8 +21,11 @@ from tactile_hand_ros.errors import ConfigurationError
 def take_law(config: LawConfig) -> None:
     """Import the law that a configuration names, unless it is one of this package.
 
+    Args:
+        config: Name and folder of the law.
+
     Raises:
-        ConfigurationError: If there is no such module or class, or it is no law.
+        ConfigurationError: If there is no such module or class, or it is not a law.
     """
     if ":" not in config.name:
         return
@@ -36,10 +38,16 @@ def take_law(config: LawConfig) -> None:
 
 
 def known_law(law: Any) -> str:
-    """Make a class of the running program known as a law, and return its name.
+    """Register a class of the running program as a law.
+
+    Args:
+        law: The class.
+
+    Returns:
+        Its name for `LawConfig.name`.
 
     Raises:
-        ConfigurationError: If it is no law.
+        ConfigurationError: If it is not a law.
     """
     name = f"{getattr(law, '__module__', '')}:{getattr(law, '__name__', type(law).__name__)}"
     _check_law(LawConfig().model_copy(update={"name": name}), law)
@@ -47,11 +55,16 @@ def known_law(law: Any) -> str:
     return name
 
 
-def folder_of(name: str, beside: Path) -> str:
-    """Return the folder to import a law from: `beside` if its module is there, else none."""
+def folder_of(name: str, candidate: Path) -> str:
+    """Return the folder to import a law from, empty for PYTHONPATH.
+
+    Args:
+        name: Name of the law.
+        candidate: Folder that is returned if it has the module.
+    """
     top = name.partition(":")[0].partition(".")[0]
-    is_there = (beside / f"{top}.py").is_file() or (beside / top / "__init__.py").is_file()
-    return str(beside.resolve()) if ":" in name and is_there else ""
+    is_there = (candidate / f"{top}.py").is_file() or (candidate / top / "__init__.py").is_file()
+    return str(candidate.resolve()) if ":" in name and is_there else ""
 
 
 def _imported(config: LawConfig, module: str) -> ModuleType:
@@ -65,7 +78,7 @@ def _imported(config: LawConfig, module: str) -> ModuleType:
     try:
         return importlib.import_module(module)
     except ModuleNotFoundError as error:
-        if error.name not in (module, top):  # something that it needs
+        if error.name not in (module, top):  # a module that it imports
             raise _wrong(config, f"it needs the module '{error.name}'", "that installed") from None
         raise _wrong(
             config,
@@ -89,11 +102,11 @@ def _forget(top: str, folder: Path) -> None:
 
 
 def _check_law(config: LawConfig, factory: Any) -> None:
-    """Refuse what has not the methods of a law, see `Law`; the preflight calls them."""
+    """Reject an object without the methods of `Law`; the preflight calls them."""
     if not callable(factory):
         raise _wrong(config, f"it is a {type(factory).__name__}", "a class")
     for name, signature in (("internal_torque", "(self)"), ("drive", "(self, wrench)")):
-        # What a function makes is only known when it is called.
+        # The result of a function is only known when it is called.
         if inspect.isclass(factory) and not callable(getattr(factory, name, None)):
             raise _wrong(config, f"it has no {name}", f"{name}{signature}")
 

@@ -1,15 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Whether joints, touch and f* fit each other: what does not fit is wrong, however it looks.
-
-A blind hand has no truth to compare with, but it knows some things twice:
+"""Whether joints, touch and f* are consistent, by quantities that are measured twice.
 
 - A contact lies on its fingertip: p_c = p_f(theta) + r n. Wrong joint angles and wrong contact
   points break that.
 - The normal forces of (13) add up to one: sum f*_n = 1.
-- What the contacts press is what the motors press, by (3):
-  J_h^T f_c = tau - M_h theta'' - C_h theta' - N_h. Each finger is compared by itself: forces of one
-  that are out of proportion or turned, and forces that do not change while its torque does, break
-  that. What the noise of the encoders may make up is no error.
+- Contact forces and joint torques balance, J_h^T f_c = tau - M_h theta'' - C_h theta' - N_h (3), in
+  each finger and up to the noise of the encoders. Scaled, turned and frozen forces break that.
 """
 
 from __future__ import annotations
@@ -28,12 +24,12 @@ from tactile_hand_ros.rotations import vector_from_rotation
 Array = NDArray[np.float64]
 
 
-_STANDING = 0.5  # fraction of the tolerance of touch that contacts may move under still joints
+_STANDING = 0.5  # fraction of the tolerance of touch that contacts may move while the joints rest
 _SUM = 1e-3  # largest error of sum f*_n = 1
 
 
 def implausible_touch(tips: Fingertips, contacts: Contacts, radii: Array, allowed: Array) -> str:
-    """Return why contacts and joints do not fit each other; empty if they do.
+    """Return why contacts and joints disagree; empty if they do not.
 
     Args:
         tips: Fingertips of the measured posture.
@@ -50,31 +46,35 @@ def implausible_touch(tips: Fingertips, contacts: Contacts, radii: Array, allowe
 
 
 def implausible_shape(optimal_forces: Array) -> str:
-    """Return why f*, shape (k, 3), is no answer to (13); empty if it may be one."""
+    """Return why f* cannot be a solution of (13); empty if it may be one.
+
+    Args:
+        optimal_forces: f* in contact frames, shape (k, 3).
+    """
     total = float(optimal_forces[:, 1].sum())
     if math.fabs(total - 1.0) <= _SUM:
         return ""
     return f"the normal parts of f* add up to {total:.3g} instead of 1; holding until they do"
 
 
-FELT_TIME = 0.005
+COMPARISON_TIME = 0.005
 """Time over which forces and torques are compared [s]."""
 
 _TURN_TIME = 0.01  # s over which rates of a turning palm are averaged
-_SPREAD = 0.02  # of the torques of all fingers that may show at one: they share object and model
-_FROZEN_FRACTION = 0.05  # change of the torques of a finger that changes the force of any skin
-_FINE_FRACTION = 0.01  # the same of a skin that has shown its finest steps
-_STEPS = 3.0  # that a force of a skin with steps makes at least, of its finest ones
+_SPREAD = 0.02  # of the torques of all fingers that may appear in one, by object and model
+_FROZEN_FRACTION = 0.05  # change of a finger's torques that changes the force of any skin
+_FINE_FRACTION = 0.01  # the same for a skin with known steps
+_STEPS = 3.0  # smallest change that counts for a skin with steps, in steps
 
 
 class Tolerances(NamedTuple):
-    """How far joints and touch may differ.
+    """Largest differences of joints and touch.
 
     Attributes:
         touch: Distance of a contact from its fingertip, m; 0 for a sixth of its radius.
         force: Difference between measured forces and joint torques, a fraction.
         latency: Age of measured forces, s.
-        rates: How far joint rates may be off, shape (m,), rad/s; 0 where they are exact.
+        rates: Error of joint rates, shape (m,), rad/s; 0 for exact rates.
     """
 
     touch: float
@@ -84,12 +84,12 @@ class Tolerances(NamedTuple):
 
 
 class _Repeat(NamedTuple):
-    """Since when a finger repeats its force to the bit.
+    """The last change of a finger's force.
 
     Attributes:
-        stamp: When it has come, ns.
+        stamp: Its tick, ns.
         force: The force, N.
-        pressed: Torques of all joints then, shape (m,), N m.
+        pressed: Torques of all joints at that tick, shape (m,), N m.
         finest: Smallest change of a component of its force so far, N; infinite before the first.
     """
 
@@ -100,28 +100,28 @@ class _Repeat(NamedTuple):
 
 
 class ForceTorqueCheck:
-    """Compares the measured forces with the torques that the joints report.
+    """Compares measured forces with joint torques.
 
-    A skin's samples are some milliseconds old: its forces are those of one time since then.
+    Samples of a skin are some milliseconds old, so their forces may match any torque since then.
     """
 
     def __init__(self, hand: Hand) -> None:
-        """Start without a past."""
-        self._least = hand.least_force * hand.spans
+        """Start without samples of a hand."""
+        self._minimum = hand.minimum_force * hand.spans
         reach = float(np.max(np.linalg.norm(hand.bases, axis=1) + hand.spans))
         self._swung = hand.finger_mass * reach * hand.spans  # per 1/s^2, kg m^2
         self.reset()
 
     def reset(self) -> None:
-        """Forget the past: time or grasp are new."""
+        """Forget the past, for another time or grasp."""
         self._last: tuple[int, Array] | None = None
-        self._pressed = self._felt = np.zeros(0)
-        self._noise = np.zeros(len(self._least))
-        self._began = 0
-        self._past: deque[tuple[int, Array]] = deque()  # ticks, ns, and what was pressed then
+        self._pressed = self._measured = np.zeros(0)
+        self._noise = np.zeros(len(self._minimum))
+        self._started = 0
+        self._past: deque[tuple[int, Array]] = deque()  # ticks, ns, and their torques, N m
         self._repeats: list[_Repeat] = []
         self._palm: Array | None = None
-        self._spin, self._gain = np.zeros(3), np.zeros(3)  # of the palm, rad/s and rad/s^2
+        self._spin, self._acceleration = np.zeros(3), np.zeros(3)  # of the palm, rad/s and rad/s^2
 
     def step(
         self,
@@ -134,9 +134,9 @@ class ForceTorqueCheck:
         limits: Tolerances,
         palm: Array | None = None,
     ) -> str:
-        """Return why forces and torques do not fit each other; empty if they do.
+        """Return why forces and torques disagree; empty if they do not.
 
-        Both are averaged over `FELT_TIME`, within which a blow passes through the fingers.
+        Both are averaged over `COMPARISON_TIME`, within which an impact passes through the fingers.
 
         Args:
             stamp: The tick, ns.
@@ -145,9 +145,8 @@ class ForceTorqueCheck:
             contacts: Contact points and frames; all must touch.
             forces: Measured forces in contact frames, shape (k, 3), N.
             applied: Torque since the last tick, shape (m,), N m.
-            limits: Largest error of J_h^T f_c of a finger as a fraction of it, age of the forces,
-                for which nothing is compared after a reset, and errors of the rates.
-            palm: Rotation of the palm in the world, shape (3, 3); None where it is not known.
+            limits: Largest differences. No forces are compared for their latency after a reset.
+            palm: Rotation of the palm in the world, shape (3, 3); None if unknown.
         """
         before, self._last = self._last, (stamp, rates)
         if before is None or stamp <= before[0]:
@@ -155,18 +154,19 @@ class ForceTorqueCheck:
         tips, inertia, bias = terms
         dt = 1e-9 * (stamp - before[0])
         pressed = applied - inertia @ (rates - before[1]) / dt - bias
-        felt = joint_torques(*tips, contacts.positions, in_palm(contacts.rotations, forces, 1.0))
+        seen = in_palm(contacts.rotations, forces, 1.0)
+        measured = joint_torques(*tips, contacts.positions, seen)
         if not self._past:
-            self._pressed = self._felt = pressed
-            self._began = stamp
+            self._pressed = self._measured = pressed
+            self._started = stamp
         own = np.abs(tips.linear).max(axis=1) > 0.0
-        fraction = 1.0 - math.exp(-dt / FELT_TIME)
+        fraction = 1.0 - math.exp(-dt / COMPARISON_TIME)
         self._pressed = self._pressed + fraction * (pressed - self._pressed)
-        if 1e-9 * (stamp - self._began) < limits.latency:  # forces may be those of torques before
-            felt = self._pressed
-        self._felt = self._felt + fraction * (felt - self._felt)
+        if 1e-9 * (stamp - self._started) < limits.latency:  # forces may belong to earlier torques
+            measured = self._pressed
+        self._measured = self._measured + fraction * (measured - self._measured)
         self._remember(stamp, limits.latency)
-        noise = own @ np.abs(inertia) @ np.broadcast_to(limits.rates, rates.shape) / FELT_TIME
+        noise = own @ np.abs(inertia) @ np.broadcast_to(limits.rates, rates.shape) / COMPARISON_TIME
         noise = noise + self._swung * self._turning(palm, dt)
         self._noise = np.maximum(noise, (1.0 - fraction) * self._noise)
         if not any(self._fits(past, own, limits.force) for _, past in reversed(self._past)):
@@ -176,41 +176,39 @@ class ForceTorqueCheck:
         return ""
 
     def _remember(self, stamp: int, latency: float) -> None:
-        """Keep what was pressed at the times that the forces may be of."""
+        """Keep the torques of the times at which the forces may have been measured."""
         self._past.append((stamp, self._pressed))
         while 1e-9 * (stamp - self._past[0][0]) > latency:
             self._past.popleft()
 
     def _fits(self, pressed: Array, own: NDArray[np.bool_], tolerance: float) -> bool:
-        """Return whether what is measured may be what was pressed at some time.
+        """Return whether the measured forces agree with torques of one time, shape (m,), N m.
 
-        Args:
-            pressed: Torques at that time, shape (m,), N m.
-            own: Which joints move which finger, shape (k, m).
-            tolerance: Largest error of a finger as a fraction.
+        `own` marks the joints of each finger, shape (k, m); the tolerance is a fraction.
         """
-        error, torque = (np.sqrt(own @ np.square(x)) for x in (self._felt - pressed, pressed))
+        error, torque = (np.sqrt(own @ np.square(x)) for x in (self._measured - pressed, pressed))
         shown = torque + _SPREAD * math.sqrt(pressed @ pressed)
-        limit = self._least + self._noise + tolerance * shown
+        limit = self._minimum + self._noise + tolerance * shown
         return bool((error <= limit).all())
 
     def _turning(self, palm: Array | None, dt: float) -> float:
-        """Return how large apparent accelerations per lever arm may be as the palm turns, 1/s^2."""
+        """Return the largest apparent acceleration per lever arm of a turning palm, 1/s^2."""
         before, self._palm = self._palm, palm
         if before is None or palm is None:
             return 0.0
         fraction, last = -math.expm1(-dt / _TURN_TIME), self._spin
         self._spin = last + fraction * (vector_from_rotation(before.T @ palm) / dt - last)
-        self._gain = self._gain + fraction * ((self._spin - last) / dt - self._gain)
-        return float(np.linalg.norm(self._gain) + self._spin @ self._spin)
+        change = (self._spin - last) / dt - self._acceleration
+        self._acceleration = self._acceleration + fraction * change
+        return float(np.linalg.norm(self._acceleration) + self._spin @ self._spin)
 
     def _is_frozen(
         self, stamp: int, tips: Fingertips, own: NDArray[np.bool_], forces: Array, latency: float
     ) -> bool:
-        """Return whether a finger repeats its force to the bit for long, under another torque.
+        """Return whether a finger repeats its force bit for bit although its torque changes.
 
-        It may do so for twice the age of forces, since a sample may be lost, and while the torque
-        changes by less than a skin with its steps shows.
+        It may do so for twice the latency, since a sample may be lost, and while the torque changes
+        by less than the steps of the skin.
         """
         if not self._repeats:
             first = [_Repeat(stamp, force, self._pressed, math.inf) for force in forces.tolist()]
@@ -220,28 +218,28 @@ class ForceTorqueCheck:
                 changes = [abs(a - b) for a, b in zip(force, last.force, strict=True) if a != b]
                 finest = min(last.finest, *changes)
                 self._repeats[i] = _Repeat(stamp, force, self._pressed, finest)
-            elif 1e-9 * (stamp - last.stamp) > 2.0 * latency + FELT_TIME:
+            elif 1e-9 * (stamp - last.stamp) > 2.0 * latency + COMPARISON_TIME:
                 change = np.abs((self._pressed - last.pressed)[own[i]]).max()
                 lever = math.sqrt(np.square(tips.linear[i]).sum(axis=0).max())
                 torque = np.abs(last.pressed[own[i]]).max()
-                fine = _FINE_FRACTION * (torque + self._least[i]) + _STEPS * lever * last.finest
-                shown = min(fine, _FROZEN_FRACTION * torque + self._least[i])
+                fine = _FINE_FRACTION * (torque + self._minimum[i]) + _STEPS * lever * last.finest
+                shown = min(fine, _FROZEN_FRACTION * torque + self._minimum[i])
                 if change > self._noise[i] + shown:
                     return True
         return False
 
 
 class InputCheck:
-    """The one check of joints against touch: inconsistent or frozen inputs of either."""
+    """Checks joints against touch for inconsistent or frozen values."""
 
     def __init__(self, hand: Hand) -> None:
-        """Start without a past."""
+        """Start without samples of a hand."""
         self._hand = hand
         self._forces = ForceTorqueCheck(hand)
         self._theta, self._points = np.full(hand.joints, np.nan), np.zeros((hand.fingers, 3))
 
-    def begin_grasp(self) -> None:
-        """Compare no forces with torques from before: a contact or the grasp is new."""
+    def start_grasp(self) -> None:
+        """Start with a new contact or grasp: older torques are not compared."""
         self._forces.reset()
 
     def step(
@@ -254,17 +252,17 @@ class InputCheck:
         pressing: tuple[Array, Array] | None,
         palm: Array | None = None,
     ) -> tuple[Fingertips, str]:
-        """Return the fingertips, and why joints and touch do not fit; empty if they do.
+        """Return the fingertips, and why joints and touch disagree; empty if they do not.
 
         Args:
             stamp: The tick, ns.
             theta: Joint angles, shape (m,), rad.
             rates: Joint rates, shape (m,), rad/s.
             contacts: Contact points and frames; all must touch.
-            limits: How far they may differ.
+            limits: Largest differences.
             pressing: Measured forces in contact frames, shape (k, 3), N, and the torques applied
-                since the last tick, shape (m,), N m; None where they are not compared.
-            palm: Rotation of the palm in the world, shape (3, 3); None where it is not known.
+                since the last tick, shape (m,), N m; None to compare neither.
+            palm: Rotation of the palm in the world, shape (3, 3); None if unknown.
         """
         problem = ""
         if pressing is None:
@@ -279,7 +277,7 @@ class InputCheck:
         return tips, problem or gap or self._frozen(theta, contacts, allowed)
 
     def _frozen(self, theta: Array, contacts: Contacts, allowed: Array) -> str:
-        """Return why the joint angles are implausible: they repeat to the bit as contacts move."""
+        """Return why the joint angles are frozen: they repeat bit for bit while contacts move."""
         if not np.array_equal(theta, self._theta):
             self._theta, self._points = theta.copy(), contacts.positions
             return ""

@@ -1,11 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Whether the hand can carry its grasp to a desired pose, and how far it still can go.
+"""Whether the hand can move its grasp to a desired pose, and the room that is left.
 
 As an object turns, the contacts roll over fingertips and object, and the frame through them turns
-less than the object. Without slip a tip that turns by w against the object has rolled its center by
-r n x w, with the normal n and its radius r. Which turn of the object gives the contacts a desired
-pose is the fixed point of that. Where a contact leaves the half sphere around the tip of its finger
-(A2), no skin shows it and no tip supports it.
+less than the object. Without slip a tip that turns by w against the object rolls its center by
+r n x w, with the normal n and its radius r. The turn of the object for a desired pose of the
+contacts is a fixed point. A contact must stay on the half sphere around its fingertip (A2).
 """
 
 from __future__ import annotations
@@ -27,22 +26,22 @@ from tactile_hand_ros.rotations import vector_from_rotation
 Array = NDArray[np.float64]
 
 _ITERATIONS = 100
-_LOOKS = 32  # postures that a check may look at: it runs inside a tick
-_ROUNDS, _LOOKS_MORE = 6, 4  # of the rolling, and postures that each of them may look at
-_ROLLED = 0.02  # of the radius, by which rolling is known well enough: a degree
-_PACE, _PATIENCE = 300, 3  # so many steps like each of the last few are too far to go
-_LEAST_DAMPING = 1e-12  # far above rounding, so that a redundant finger's system can be solved
+_MAX_POSTURES = 32  # postures of a check, which runs inside a tick
+_ROUNDS, _ROUND_POSTURES = 6, 4  # of the rolling, and postures of each round
+_ROLLED = 0.02  # of the radius, accuracy of the rolling: a degree
+_PACE, _PATIENCE = 300, 3  # stop if this many steps would be needed, after this many slow ones
+_MIN_DAMPING = 1e-12  # far above rounding, so that a redundant finger's system can be solved
 
 
 def check_reach(
     hand: Hand, theta: Array, contacts: Contacts, pose: AuxiliaryPose, target: Target
 ) -> None:
-    """Check that the fingertips can follow the grasp to the target, and roll no contact off a tip.
+    """Check that the fingertips reach the target and keep their contacts.
 
     Args:
         hand: The hand.
         theta: Joint angles now, shape (m,), rad.
-        contacts: Contacts now; fingers that do not touch need not follow.
+        contacts: Contacts now; only fingers that touch count.
         pose: Contact centroid and virtual frame now.
         target: Desired pose.
 
@@ -82,10 +81,10 @@ def check_reach(
 
 
 def room(hand: Hand, theta: Array, contacts: Contacts) -> Array:
-    """Return fractions left of the ways to the rims and to the ends of the joints, shape (k + m,).
+    """Return the fractions left of the ways to rims and joint limits, shape (k + m,).
 
-    The ways are from the tip of a finger to its rim, and from the middle of a joint's range to its
-    end; 1 where a joint has none.
+    A way leads from the tip of a finger to its rim, or from the middle of a joint's range to its
+    end; 1 for a joint without limits.
 
     Args:
         hand: The hand.
@@ -100,7 +99,7 @@ def room(hand: Hand, theta: Array, contacts: Contacts) -> Array:
 
 
 def end_of(hand: Hand, i: int) -> str:
-    """Return what ends the way i of `room`, in words."""
+    """Return the end of way i of `room` in words; `hand` is the hand."""
     if i < hand.fingers:
         return f"the contact of {hand.finger_names[i]} to the rim of its fingertip"
     return f"{hand.joint_names[i - hand.fingers]} to its end"
@@ -115,15 +114,10 @@ def _rims(hand: Hand, theta: Array, normals: Array) -> Array:
 def _rolled(
     hand: Hand, theta: Array, there: Array, contacts: Contacts, turn: Array, position: Array
 ) -> Array:
-    """Return the angles left to the rims where the grasp has rolled to a pose, shape (k,), rad.
+    """Return the angles left to the rims after rolling to a pose, shape (k,), rad.
 
-    Args:
-        hand: The hand.
-        theta: Joint angles now, shape (m,), rad.
-        there: Those that bring the fingertips there without rolling, shape (m,), rad.
-        contacts: Contacts now.
-        turn: By which the frame through the contacts is to turn, shape (3, 3).
-        position: Where their centroid is to go, shape (3,), m.
+    The joint angles `there`, shape (m,), rad, reach it without rolling. `turn`, shape (3, 3), turns
+    the frame through the contacts, and `position`, shape (3,), m, is their new centroid.
     """
     points, normals, radii = contacts.positions, contacts.normals, hand.radii[:, None]
     before, body = hand.tip_rotations(theta), turn
@@ -137,18 +131,18 @@ def _rolled(
         arms = centered(points + rolled)
         body = turn @ best_rotation(arms, centered(points))
         tips = position + (arms - radii * normals) @ body.T
-        *_, (there, _) = islice(_approach(hand, tips, there), _LOOKS_MORE)
+        *_, (there, _) = islice(_approach(hand, tips, there), _ROUND_POSTURES)
     return _rims(hand, there, normals @ body.T)
 
 
 def _search(hand: Hand, tips: Array, start: Array) -> tuple[Array, Array]:
-    """Return joint angles, shape (m,), and how far the tips stay away from points, (k,), m.
+    """Return joint angles, shape (m,), rad, and distances of the tips from points, (k,), m.
 
-    The search ends as soon as all are near enough, or when its pace is hopeless.
+    The search stops when all are close enough, or when it is too slow.
     """
     theta, missing, length, slow = start, np.full(hand.fingers, np.inf), np.inf, 0
     enough = OFF_TIP * hand.radii
-    for theta, error in islice(_approach(hand, tips, start), _LOOKS):
+    for theta, error in islice(_approach(hand, tips, start), _MAX_POSTURES):
         missing, before = np.linalg.norm(error, axis=1), length
         length = float(np.linalg.norm(error))
         if (missing <= enough).all() or slow >= _PATIENCE:
@@ -182,10 +176,10 @@ def inverse_kinematics(hand: Hand, tips: Array, start: Array) -> tuple[Array, Ar
 
 
 def _approach(hand: Hand, tips: Array, start: Array) -> Iterator[tuple[Array, Array]]:
-    """Yield joint angles ever nearer to given fingertips, and what each tip lacks, shape (k, 3).
+    """Yield joint angles, rad, closer and closer to given fingertips, and the errors, (k, 3), m.
 
-    The first are those of the start; after a step that led away the last ones come again. It ends
-    where no step leads nearer.
+    It starts with `start`, repeats the last angles after a step in a wrong direction, and stops
+    when no step helps.
     """
     lower, upper = hand.position_limits
     theta = np.clip(start, lower, upper)
@@ -199,6 +193,6 @@ def _approach(hand: Hand, tips: Array, start: Array) -> Iterator[tuple[Array, Ar
         trial = np.clip(theta + np.linalg.solve(normal, jacobian.T @ error), lower, upper)
         after = hand.fingertips(trial)
         if np.sum((tips - after.positions) ** 2) < error @ error:
-            theta, reached, damping = trial, after, max(damping * 0.3, _LEAST_DAMPING)
+            theta, reached, damping = trial, after, max(damping * 0.3, _MIN_DAMPING)
         else:
             damping = damping * 10.0

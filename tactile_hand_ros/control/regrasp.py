@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Letting go of an object and taking it again, finger by finger, by touch."""
+"""Releasing an object and grasping it again, finger by finger, by touch."""
 
 from __future__ import annotations
 
@@ -15,30 +15,27 @@ Array = NDArray[np.float64]
 
 
 class RegraspConfig(Config):
-    """How far and how fast the fingers open and close."""
+    """Distance and speed with which the fingers open and close."""
 
     opening: float = param(0.015, "distance by which the fingertips open", unit="m", gt=0.0, le=0.1)
-    speed: float = param(
-        0.02, "speed of the fingertips while they open or close", unit="m/s", gt=0.0, le=1.0
-    )
+    speed: float = param(0.02, "speed of the opening or closing tips", unit="m/s", gt=0.0, le=1.0)
     overtravel: float = param(
-        0.02, "how far beyond the last contacts the fingers search", unit="m", ge=0.0, le=0.1
+        0.02, "distance beyond the last contacts that the fingers search", unit="m", ge=0.0, le=0.1
     )
 
 
 class Regrasp:
     """Moves the fingertips along the normals of the last grasp, outwards or inwards.
 
-    A finger that touches while closing waits where it is, so that it does not push the object away
-    before the others have come.
+    A finger that touches while closing waits for the others, so that it does not push the object.
 
     Attributes:
         active: Whether the fingers are open, opening or closing.
-        missed: Why closing ended without a grasp, after which the fingers open again; else empty.
+        missed: Why closing failed, after which the fingers open again; empty otherwise.
     """
 
     def __init__(self, config: RegraspConfig, hand: Hand) -> None:
-        """Start without a grasp to leave."""
+        """Start with a hand that grasps."""
         self._config, self._hand = config, hand
         self.active = self._closing = False
         self.missed = ""
@@ -49,7 +46,12 @@ class Regrasp:
         return self.active and self._closing
 
     def leave(self, theta: Array, contacts: Contacts) -> None:
-        """Begin to open from a posture with the given contacts, and stay open afterwards."""
+        """Start to open, and stay open afterwards.
+
+        Args:
+            theta: Joint angles, shape (m,), rad.
+            contacts: Contacts of the grasp, palm frame.
+        """
         self.active = True
         self._normals = np.where(contacts.touching[:, None], contacts.normals, 0.0)
         self._tips = self._hand.fingertips(theta).positions
@@ -58,30 +60,34 @@ class Regrasp:
         self._closing, self.missed = False, ""
 
     def open(self) -> None:
-        """Begin to open again, along the normals of the grasp that was left."""
+        """Start to open again, along the normals of the last grasp."""
         self._closing, self.missed = False, ""
 
     def close(self) -> None:
-        """Begin to close."""
+        """Start to close."""
         self._closing, self.missed = True, ""
 
     def finish(self) -> None:
-        """Forget the grasp that was left."""
+        """Stop: the hand grasps again."""
         self.active = False
 
     def searches(self, contacts: Contacts) -> bool:
-        """Return whether fingers that do not touch can still close further."""
+        """Return whether a finger without contact can close further; `contacts` are by touch."""
         return bool((self._depth < self._config.overtravel)[~contacts.touching].any())
 
     def follow(self, theta: Array) -> None:
-        """Continue from a posture that something else has moved the joints to, shape (m,), rad."""
+        """Continue from a posture that another cause has moved the joints to.
+
+        Args:
+            theta: Joint angles, shape (m,), rad.
+        """
         if self.active:
             moved = self._depth[:, None] * self._normals
             self._tips = self._hand.fingertips(theta).positions - moved
             self._posture = theta.copy()
 
     def posture(self, contacts: Contacts, dt: float) -> Array:
-        """Return the joint angles to hold now, shape (m,), rad; `leave` must have been called.
+        """Return the joint angles to hold now, shape (m,), rad; call `leave` first.
 
         Args:
             contacts: Contacts by touch.
@@ -99,7 +105,7 @@ class Regrasp:
         return self._posture
 
     def _give_up(self, contacts: Contacts) -> None:
-        """Open again where the fingers without contact have searched as far as they may."""
+        """Open again if the fingers without contact have searched the full distance."""
         missing = np.flatnonzero(~contacts.touching)
         if len(missing) and not self.searches(contacts):
             names = [self._hand.finger_names[i] for i in missing]

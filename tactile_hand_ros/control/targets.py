@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where the hand is to bring its grasp, and when: desired poses and the smooth way to them."""
+"""Desired poses of the grasp: a queue by tick, and a smooth reference on the way to them."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ from tactile_hand_ros.hand.hand import Hand
 from tactile_hand_ros.rotations import rodrigues, vector_from_rotation
 
 Array = NDArray[np.float64]
-_NEAR, _TURNED = 1e-3, 0.02  # m and rad; a reference that is nearer has arrived
+_NEAR, _TURNED = 1e-3, 0.02  # m and rad; closer is arrived
 
 
 class SmoothReference:
-    """Follows desired poses like a critically damped spring, from where the grasp is.
+    """Moves from the pose of the grasp to desired poses like a critically damped spring.
 
-    x'' = (x_d - x) / T^2 - 2 x' / T, the same for the rotation vector to the desired orientation,
-    in steps that are exact for any time: with e = x - x_d and a = x' + e / T,
+    x'' = (x_d - x) / T^2 - 2 x' / T, and the same for the rotation vector to the desired
+    orientation. Steps are exact for any time: with e = x - x_d and a = x' + e / T,
     e(t) = (e + a t) exp(-t / T) and x'(t) = (x' - a t / T) exp(-t / T).
     """
 
@@ -34,14 +34,14 @@ class SmoothReference:
         self.reset()
 
     def reset(self) -> None:
-        """Forget where the reference is."""
+        """Forget the pose."""
         self._pose: Target | None = None
         self._rates = np.zeros(6)  # velocity, and the rate of the rotation vector
         self._error = np.zeros(6)  # from the target to the pose, m and rad
 
     @property
     def is_moving(self) -> bool:
-        """Whether it is still on its way."""
+        """Whether it has not arrived yet."""
         way, turn = np.linalg.norm(self._error[:3]), np.linalg.norm(self._error[3:])
         return bool(way > _NEAR or turn > _TURNED)
 
@@ -50,7 +50,7 @@ class SmoothReference:
 
         Args:
             target: Desired pose.
-            now: Pose of the grasp, from which the first step begins.
+            now: Pose of the grasp, where the first step starts.
             time: T in s; 0 gives the desired pose itself.
             dt: Time since the last tick, s.
         """
@@ -70,16 +70,17 @@ class SmoothReference:
         return self._pose
 
 
-MOST_WAITING = 1000
-"""Desired poses that may wait for their tick."""
+MAX_WAITING = 1000
+"""Number of desired poses that may wait for their tick."""
 
-MOST_CHECKED = 1
-"""Desired poses whose reach is checked when they come, in one tick; that of others is checked when
-they are due. A pose out of reach takes milliseconds, and a flood of them must not cost the grip."""
+MAX_CHECKED = 1
+"""Number of desired poses per tick whose reach is checked on arrival; others are checked when due.
+
+An unreachable pose takes milliseconds, and many of them must not delay the controller."""
 
 
 class Grasp(NamedTuple):
-    """A grasp as it was last seen.
+    """A grasp at one tick.
 
     Attributes:
         theta: Joint angles, shape (m,), rad.
@@ -96,9 +97,9 @@ class _QueuedPose(NamedTuple):
     """A desired pose that waits for its tick.
 
     Attributes:
-        stamp: Tick from which it holds, ns; zero for the next.
+        stamp: First tick at which it is due, ns; zero for the next.
         target: The pose.
-        judged: Whether it is known to be in reach of the present grasp.
+        judged: Whether it was found to be in reach of the present grasp.
     """
 
     stamp: int
@@ -107,16 +108,16 @@ class _QueuedPose(NamedTuple):
 
 
 class TargetQueue:
-    """Keeps desired poses until they are due; the newest due one in reach becomes the target.
+    """Keeps desired poses until they are due; the newest reachable one becomes the target.
 
     Attributes:
         target: The desired pose in force; None before the first tick.
-        accepted: The desired pose that became the target in this tick; None if none did.
-        dropped: Desired poses that were forgotten because too many waited.
+        accepted: The desired pose that became the target in this tick, or None.
+        dropped: Number of desired poses that were dropped because too many waited.
     """
 
     def __init__(self, hand: Hand) -> None:
-        """Judge by the reach of a hand."""
+        """Start without poses for a hand, whose reach decides."""
         self._hand = hand
         self.accepted: Target | None = None
         self.dropped = 0
@@ -129,61 +130,61 @@ class TargetQueue:
         self._in_reach: Target | None = None
         self._checked = 0
 
-    def begin_tick(self) -> None:
-        """Take new poses again: a tick has time to check a few of them."""
+    def start_tick(self) -> None:
+        """Start a tick: `MAX_CHECKED` poses may be checked again."""
         self._checked, self.accepted = 0, None
 
-    def begin_grasp(self) -> None:
-        """Drop the target of the last grasp; poses that wait are judged by the new one."""
+    def start_grasp(self) -> None:
+        """Drop the target of the last grasp; waiting poses are checked against the new one."""
         self.target = self._in_reach = None
         self._queue = [queued._replace(judged=False) for queued in self._queue]
 
     def command(self, target: Target, stamp: int, now: int | None, grasp: Grasp | None) -> None:
-        """Take a desired pose, and judge it now if there is a grasp and time for it.
+        """Queue a desired pose, and check it now if there is a grasp and time for it.
 
         Args:
             target: Desired pose of the contact centroid's virtual frame, palm frame.
-            stamp: Tick in ns from which it holds; zero or a past one means now.
+            stamp: First tick at which it is due, ns; zero or a past one means now.
             now: The last tick, ns; None before the first.
-            grasp: The grasp as it was last seen; None before the first.
+            grasp: The last grasp; None before the first.
 
         Raises:
-            PoseError: If the grasp cannot be carried there.
+            PoseError: If the grasp cannot be moved there.
         """
-        is_judged = grasp is not None and self._checked < MOST_CHECKED
+        is_judged = grasp is not None and self._checked < MAX_CHECKED
         if grasp is not None and is_judged:
             self._checked += 1
             self._judge(target.kept(grasp.pose), grasp)
         self.schedule(target, stamp, now, judged=is_judged and target.is_whole)
 
     def schedule(self, target: Target, stamp: int, now: int | None, *, judged: bool) -> None:
-        """Queue a desired pose as `command` does, without judging now whether it is in reach.
+        """Queue a desired pose as `command` does, without checking its reach now.
 
         Args:
             target: The pose.
-            stamp: Tick in ns from which it holds; zero or a past one means now.
+            stamp: First tick at which it is due, ns; zero or a past one means now.
             now: The last tick, ns; None before the first.
-            judged: Whether it is known to be in reach; otherwise it is judged when it is due.
+            judged: Whether its reach was checked; otherwise it is checked when it is due.
         """
         if stamp <= (now or 0):
             stamp = 0
         bisect.insort(self._queue, _QueuedPose(stamp, target, judged), key=_due_at)
-        if len(self._queue) > MOST_WAITING:
+        if len(self._queue) > MAX_WAITING:
             del self._queue[0]
             self.dropped += 1
 
     def forget_after(self, stamp: int) -> list[int]:
-        """Forget the desired poses for ticks after one, in ns; return the stamps they had."""
+        """Drop the desired poses for ticks after a stamp in ns, and return their stamps, ns."""
         first = bisect.bisect_right(self._queue, stamp, key=_due_at)
         forgotten = [queued.stamp for queued in self._queue[first:]]
         del self._queue[first:]
         return forgotten
 
     def take_due(self, stamp: int, grasp: Grasp) -> str:
-        """Make the newest due pose the target; return why it was refused, if it was.
+        """Make the newest due pose the target; return why it was rejected, empty if it was not.
 
-        Without a target the grasp stays where it was first seen. One tick has time to judge one
-        pose: when it is refused, older ones come with the next tick.
+        Without a target the grasp stays where it was first seen. A tick has time to check one
+        pose. If it is rejected, older ones follow in the next tick.
 
         Args:
             stamp: The tick, ns.
@@ -201,7 +202,7 @@ class TargetQueue:
             if not newest.judged:
                 self._judge(target, grasp)
         except PoseError as error:
-            # Without their stamps, so that a pose that is commanded meanwhile comes after them.
+            # Without stamps, so that a newer command comes after them.
             self._queue = [queued._replace(stamp=0) for queued in older] + later
             return str(error)
         self.target = self.accepted = target
@@ -213,10 +214,9 @@ class TargetQueue:
         self.target = Target(pose.position, pose.orientation)
 
     def _judge(self, target: Target, grasp: Grasp) -> None:
-        """Check the reach of a pose, unless it is the one that was last found to be in reach.
+        """Check the reach of a pose, unless it was the last one found to be in reach.
 
-        A rigid motion of the same grasp stays within reach. What was refused may not stay so: the
-        hand may have come nearer.
+        A pose stays in reach of the same grasp. A rejected one may come into reach.
         """
         known = self._in_reach
         if known is None or not all(map(np.array_equal, known[:2], target[:2])):
@@ -225,5 +225,5 @@ class TargetQueue:
 
 
 def _due_at(queued: _QueuedPose) -> int:
-    """Return the tick from which a waiting pose holds, ns."""
+    """Return the tick at which a waiting pose is due, ns."""
     return queued.stamp

@@ -19,11 +19,11 @@ Array = NDArray[np.float64]
 
 
 class Fingertips(NamedTuple):
-    """Fingertip centres and their Jacobians at one configuration, all in palm axes.
+    """Fingertip centers and their Jacobians at one configuration, all in palm axes.
 
     Attributes:
-        positions: Centres p_f, shape (k, 3), m.
-        linear: Jacobians J of the centres' velocities, shape (k, 3, m).
+        positions: Centers p_f, shape (k, 3), m.
+        linear: Jacobians J of the centers' velocities, shape (k, 3, m).
         angular: Jacobians J_Omega of the tips' angular velocities, shape (k, 3, m).
 
     Source: Shaw-Cortez et al., equation (1).
@@ -36,7 +36,7 @@ class Fingertips(NamedTuple):
 
 @compiled
 def tip_jacobians(
-    spatial: Array, support: NDArray[np.bool_], centres: Array
+    spatial: Array, support: NDArray[np.bool_], centers: Array
 ) -> tuple[Array, Array]:
     """Return the Jacobians J and J_Omega of the fingertips, each of shape (k, 3, m), equation (1).
 
@@ -44,12 +44,12 @@ def tip_jacobians(
         spatial: Velocities of the bodies at the palm's origin per joint rate, linear above angular,
             palm axes, shape (6, m).
         support: Which joints move which tip, shape (k, m).
-        centres: Fingertip centres, palm frame, shape (k, 3), m.
+        centers: Fingertip centers, palm frame, shape (k, 3), m.
     """
     k, m = support.shape
     linear, angular = np.zeros((k, 3, m)), np.zeros((k, 3, m))
     for i in range(k):
-        x, y, z = centres[i]
+        x, y, z = centers[i]
         for j in range(m):
             if support[i, j]:
                 a, b, c = spatial[3, j], spatial[4, j], spatial[5, j]
@@ -61,23 +61,27 @@ def tip_jacobians(
 
 
 def mirrored(upper: Array) -> Array:
-    """Return the symmetric matrix of which the upper triangle is given, shape (m, m)."""
+    """Return the symmetric matrix of an upper triangle, shape (m, m).
+
+    Args:
+        upper: Matrix whose upper triangle counts, shape (m, m).
+    """
     return np.triu(upper) + np.triu(upper, 1).T
 
 
 class RawDynamics(NamedTuple):
-    """Dynamics of the hand as Pinocchio has computed them.
+    """Dynamics of the hand in the form of Pinocchio.
 
     Attributes:
-        centres: Fingertip centres, palm frame, shape (k, 3), m.
+        centers: Fingertip centers, palm frame, shape (k, 3), m.
         spatial: Velocities of the bodies at the palm's origin per joint rate, linear above angular,
             palm axes, shape (6, m).
         support: Which joints move which tip, shape (k, m).
-        inertia: M_h, of which Pinocchio promises the upper triangle only, shape (m, m).
+        inertia: Upper triangle of M_h, shape (m, m).
         bias: C_h theta' + N_h, shape (m,), N m.
     """
 
-    centres: Array
+    centers: Array
     spatial: Array
     support: NDArray[np.bool_]
     inertia: Array
@@ -97,11 +101,11 @@ class Hand:
         effort_limits: Largest torque of each joint, shape (m,), N m; infinite where unset.
         velocity_limits: Largest speed of each joint, shape (m,), rad/s; infinite where unset.
         position_limits: Lowest and highest joint angles, two arrays of shape (m,), rad.
-        bases: Where the first joint of each finger is, palm frame, shape (k, 3), m.
-        spans: How far each fingertip can ever be from there, shape (k,), m.
+        bases: First joint of each finger, palm frame, shape (k, 3), m.
+        spans: Largest distance of each fingertip from there, shape (k,), m.
         finger_mass: Mean mass of a finger, kg.
         finger_weight: Its weight on Earth, N.
-        least_force: A hundredth of a finger's weight, N: fingers that press less hold nothing.
+        minimum_force: A hundredth of a finger's weight, N; below it a grasp does not count.
     """
 
     def __init__(
@@ -118,8 +122,8 @@ class Hand:
             config: Names of the URDF, fingers and tips.
             layout: Name of the layout; empty for the default one.
             gravity: Acceleration of gravity in the palm frame, shape (3,), m/s^2; default none.
-            link_lengths: Lengths of the links against those of the URDF, which stays as it is.
-            tip_radii: Radii of the fingertips against those of the YAML.
+            link_lengths: Factor of the link lengths of the URDF.
+            tip_radii: Factor of the fingertip radii of the YAML.
 
         Raises:
             HandModelError: If the URDF is missing or broken, or lacks a named link or joint.
@@ -133,9 +137,9 @@ class Hand:
         self._data = self._model.createData()
         self._tips = [_tip_frame(self._model, f.tip, f.name) for f in config.fingers]
         self._support = _support(self._model, self._tips)
-        # Views of what Pinocchio writes.
+        # Views of the arrays that Pinocchio overwrites.
         self._spatial, self._inertia, self._bias = self._data.J, self._data.M, self._data.nle
-        self._centres = [self._data.oMf[frame].translation for frame in self._tips]
+        self._centers = [self._data.oMf[frame].translation for frame in self._tips]
         self._turned: pin.Model | None = None  # with a palm that moves
         self.gravity = np.zeros(3) if gravity is None else np.asarray(gravity)
         self.fingers = len(self._tips)
@@ -154,7 +158,7 @@ class Hand:
         self.bases, self.spans = _reaches(self._model, self._tips)
         self.finger_mass = sum(body.mass for body in self._model.inertias[1:]) / self.fingers
         self.finger_weight = 9.81 * self.finger_mass
-        self.least_force = 0.01 * self.finger_weight
+        self.minimum_force = 0.01 * self.finger_weight
 
     @classmethod
     def load(
@@ -165,13 +169,14 @@ class Hand:
         link_lengths: float = 1.0,
         tip_radii: float = 1.0,
     ) -> Hand:
-        """Load a hand by name (``paper``) or by the path of its YAML file."""
+        """Return a hand by name (``paper``) or YAML file; for the rest see the constructor."""
         return cls(load_hand_config(name), layout, gravity, link_lengths, tip_radii)
 
     def part(self, chosen: NDArray[np.bool_]) -> Hand:
-        """Return the hand with some of its fingers, by a mask of shape (k,), and all its joints.
+        """Return the hand with some of its fingers and all its joints; gravity is common to both.
 
-        Both share one model, so that they have the same gravity.
+        Args:
+            chosen: Mask of the fingers, shape (k,).
         """
         if chosen.all():
             return self
@@ -179,7 +184,7 @@ class Hand:
         part.fingers = len(fingers)
         part.finger_names = [self.finger_names[i] for i in fingers]
         part._tips = [self._tips[i] for i in fingers]
-        part._centres = [self._centres[i] for i in fingers]
+        part._centers = [self._centers[i] for i in fingers]
         part._support, part.radii = self._support[chosen], self.radii[chosen]
         part.bases, part.spans = self.bases[chosen], self.spans[chosen]
         return part
@@ -194,7 +199,7 @@ class Hand:
         self._model.gravity.linear = gravity
 
     def fingertips(self, theta: Array) -> Fingertips:
-        """Return tip centres and Jacobians, equation (1).
+        """Return fingertip centers and Jacobians, equation (1).
 
         Args:
             theta: Joint angles, shape (m,), rad.
@@ -203,20 +208,24 @@ class Hand:
         return self._read_fingertips()
 
     def tip_positions(self, theta: Array) -> Array:
-        """Return the centres of the fingertips alone, shape (k, 3), m."""
-        pin.forwardKinematics(self._model, self._data, theta)
-        return self._read_centres()
+        """Return the centers of the fingertips, palm frame, shape (k, 3), m.
 
-    def _read_centres(self) -> Array:
+        Args:
+            theta: Joint angles, shape (m,), rad.
+        """
+        pin.forwardKinematics(self._model, self._data, theta)
+        return self._read_centers()
+
+    def _read_centers(self) -> Array:
         pin.updateFramePlacements(self._model, self._data)
         out = np.empty((len(self._tips), 3))
-        for i, centre in enumerate(self._centres):
-            out[i] = centre
+        for i, center in enumerate(self._centers):
+            out[i] = center
         return out
 
     def _read_fingertips(self) -> Fingertips:
-        centres = self._read_centres()
-        return Fingertips(centres, *tip_jacobians(self._spatial, self._support, centres))
+        centers = self._read_centers()
+        return Fingertips(centers, *tip_jacobians(self._spatial, self._support, centers))
 
     def dynamics(self, theta: Array, rates: Array) -> tuple[Fingertips, Array, Array]:
         """Return fingertips, inertia matrix M_h and bias C_h theta' + N_h of equation (3).
@@ -228,12 +237,12 @@ class Hand:
         Returns:
             Fingertips, inertia matrix of shape (m, m) and bias torques of shape (m,), N m.
         """
-        centres, spatial, support, inertia, bias = self.raw_dynamics(theta, rates)
-        tips = Fingertips(centres, *tip_jacobians(spatial, support, centres))
+        centers, spatial, support, inertia, bias = self.raw_dynamics(theta, rates)
+        tips = Fingertips(centers, *tip_jacobians(spatial, support, centers))
         return tips, mirrored(inertia), bias.copy()
 
     def raw_dynamics(self, theta: Array, rates: Array) -> RawDynamics:
-        """Return what `dynamics` is made of, in arrays that the next call overwrites.
+        """Return the raw arrays of `dynamics`, which the next call overwrites.
 
         Args:
             theta: Joint angles, shape (m,), rad.
@@ -243,17 +252,17 @@ class Hand:
         pin.computeJointJacobians(model, data, theta)
         pin.crba(model, data, theta)
         pin.nonLinearEffects(model, data, theta, rates)
-        centres = self._read_centres()
-        return RawDynamics(centres, self._spatial, self._support, self._inertia, self._bias)
+        centers = self._read_centers()
+        return RawDynamics(centers, self._spatial, self._support, self._inertia, self._bias)
 
-    def turning_torque(self, theta: Array, rates: Array, spin: Array, gain: Array) -> Array:
-        """Return the torques that a turning palm takes of the joints, shape (m,), N m.
+    def turning_torque(self, theta: Array, rates: Array, spin: Array, acceleration: Array) -> Array:
+        """Return the joint torques that balance the turning of the palm, shape (m,), N m.
 
         Args:
             theta: Joint angles, shape (m,), rad.
             rates: Joint rates, shape (m,), rad/s.
             spin: Angular velocity of the palm, palm axes, shape (3,), rad/s.
-            gain: Its angular acceleration, shape (3,), rad/s^2.
+            acceleration: Its angular acceleration, shape (3,), rad/s^2.
         """
         if self._turned is None:
             self._turned = pin.buildModelFromXML(self.description, pin.JointModelFreeFlyer())
@@ -262,30 +271,51 @@ class Hand:
         at = np.concatenate([np.zeros(6), [1.0], theta])
         still, none = np.concatenate([np.zeros(6), rates]), np.zeros(self.joints)
         turns = np.concatenate([np.zeros(3), spin, rates])
-        gains = np.concatenate([np.zeros(3), gain, none])
+        accelerations = np.concatenate([np.zeros(3), acceleration, none])
         model, data = self._turned, self._turned_data
-        moved = np.array(pin.rnea(model, data, at, turns, gains))
+        moved = np.array(pin.rnea(model, data, at, turns, accelerations))
         return np.asarray((moved - pin.rnea(model, data, at, still, np.zeros(len(still))))[6:])
 
     def gravity_torque(self, theta: Array) -> Array:
-        """Return the torques that hold the links against gravity, shape (m,), N m."""
+        """Return the torques that hold the links against gravity, shape (m,), N m.
+
+        Args:
+            theta: Joint angles, shape (m,), rad.
+        """
         return np.array(pin.computeGeneralizedGravity(self._model, self._data, theta))
 
     def kinetic_energy(self, theta: Array, rates: Array) -> float:
-        """Return the kinetic energy of the links in J."""
+        """Return the kinetic energy of the links, J.
+
+        Args:
+            theta: Joint angles, shape (m,), rad.
+            rates: Joint rates, shape (m,), rad/s.
+        """
         return float(pin.computeKineticEnergy(self._model, self._data, theta, rates))
 
     def potential_energy(self, theta: Array) -> float:
-        """Return the potential energy of the links in J."""
+        """Return the potential energy of the links, J.
+
+        Args:
+            theta: Joint angles, shape (m,), rad.
+        """
         return float(pin.computePotentialEnergy(self._model, self._data, theta))
 
     def tip_rotations(self, theta: Array) -> Array:
-        """Return the frames of the tip links, which point along their x axes, shape (k, 3, 3)."""
+        """Return the frames of the tip links, with x along the link, palm frame, shape (k, 3, 3).
+
+        Args:
+            theta: Joint angles, shape (m,), rad.
+        """
         pin.framesForwardKinematics(self._model, self._data, theta)
         return np.array([self._data.oMf[frame].rotation for frame in self._tips])
 
     def joint_positions(self, theta: Array) -> list[list[Array]]:
-        """Return the chain of joint and tip positions of every finger, for drawings, m."""
+        """Return joint and tip positions along every finger, palm frame, each of shape (3,), m.
+
+        Args:
+            theta: Joint angles, shape (m,), rad.
+        """
         pin.framesForwardKinematics(self._model, self._data, theta)
         return [self._chain(frame) for frame in self._tips]
 
@@ -298,16 +328,16 @@ class Hand:
         return points[::-1]
 
 
-def _stretch(model: pin.Model, share: float) -> None:
-    """Make all links longer or shorter: what moves with a joint, not where fingers are mounted."""
+def _stretch(model: pin.Model, factor: float) -> None:
+    """Scale all links that move with a joint; the places of the fingers stay."""
     for joint in range(1, model.njoints):
-        model.inertias[joint].lever = share * model.inertias[joint].lever
+        model.inertias[joint].lever = factor * model.inertias[joint].lever
         if model.parents[joint] > 0:
             placement = model.jointPlacements[joint]
-            placement.translation = share * placement.translation
+            placement.translation = factor * placement.translation
     for frame in model.frames:
         if frame.parentJoint > 0:
-            frame.placement.translation = share * frame.placement.translation
+            frame.placement.translation = factor * frame.placement.translation
 
 
 def _support(model: pin.Model, tips: list[int]) -> NDArray[np.bool_]:
@@ -322,9 +352,9 @@ def _support(model: pin.Model, tips: list[int]) -> NDArray[np.bool_]:
 
 
 def _reaches(model: pin.Model, tips: list[int]) -> tuple[Array, Array]:
-    """Return the places of the fingers' first joints, shape (k, 3), and their lengths, (k,), m.
+    """Return the fingers' first joints, shape (k, 3), and largest lengths, shape (k,), m.
 
-    A finger is at most as long as its links one after the other; a joint that slides adds its way.
+    A finger is at most as long as the sum of its links and the travels of its sliding joints.
     """
     bases, spans = np.empty((len(tips), 3)), np.empty(len(tips))
     travels = np.maximum(np.abs(model.lowerPositionLimit), np.abs(model.upperPositionLimit))
@@ -360,7 +390,7 @@ def _model(description: str, config: HandConfig) -> pin.Model:
 
 
 def _check_inertia(model: pin.Model, urdf: str) -> None:
-    """Refuse joints that move nothing heavy: M_h of equation (3) must have an inverse.
+    """Check that M_h of equation (3) has an inverse.
 
     Raises:
         HandModelError: If M_h is not positive definite.
@@ -373,11 +403,11 @@ def _check_inertia(model: pin.Model, urdf: str) -> None:
             f"joint '{light[0]}' of '{urdf}' moves no mass; give the links behind it an <inertial> "
             "with mass and inertia"
         )
-    least, *_, most = np.linalg.eigvalsh(inertia)
-    if not least > 1e-12 * most:
+    smallest, *_, largest = np.linalg.eigvalsh(inertia)
+    if not smallest > 1e-12 * largest:
         raise HandModelError(
-            f"the joints of '{urdf}' have an inertia matrix with the eigenvalue {least:.3g}, "
-            "expected all above 0; check mass, centre and inertia of every <inertial>"
+            f"the joints of '{urdf}' have an inertia matrix with the eigenvalue {smallest:.3g}, "
+            "expected all above 0; check mass, center and inertia of every <inertial>"
         )
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The URDF of a hand as XML: read within bounds, and checked where Pinocchio would not complain."""
+"""The URDF of a hand as XML, with limits of its size and checks that Pinocchio does not make."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from tactile_hand_ros.config.plain_yaml import read_text
 from tactile_hand_ros.errors import ConfigurationError, HandModelError
 
 _GRAVITY = 9.81  # m/s^2
-_MOST_LINKS = 500
-_LARGEST_NUMBER = 1e6  # in SI units; far above any hand, far below what overflows
-_PRINTED = 0.01  # of the largest moment: the digits that a URDF leaves out
+_MAX_LINKS = 500
+_LARGEST_NUMBER = 1e6  # in SI units; far above any hand, far below overflow
+_PRINTED = 0.01  # of the largest moment: rounding in a URDF
 _INERTIA = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
 _LIMITED = ("revolute", "prismatic")
 _TYPES = (*_LIMITED, "fixed", "continuous", "floating", "planar")
@@ -35,10 +35,10 @@ def describe(path: Path, layout: Mapping[str, MountConfig], any_inertia: bool = 
     Args:
         path: The file.
         layout: Placements of fixed joints.
-        any_inertia: Whether to accept links with an inertia that no body has.
+        any_inertia: Whether to accept links with an inertia that is physically impossible.
 
     Raises:
-        HandModelError: If the file is not a URDF of which a hand can be built, or lacks a joint.
+        HandModelError: If the file is not the URDF of a hand, or lacks a joint.
     """
     root = _parsed(path)
     _check(root, path.name, any_inertia)
@@ -50,7 +50,10 @@ def describe(path: Path, layout: Mapping[str, MountConfig], any_inertia: bool = 
 
 
 def finger_weight(config: HandConfig) -> float:
-    """Return the weight of a hand without its palm per finger, N: what its own links may load.
+    """Return the weight of a hand without its palm per finger, N.
+
+    Args:
+        config: The hand.
 
     Raises:
         HandModelError: If the URDF cannot be read.
@@ -83,14 +86,14 @@ def _parsed(path: Path) -> Element:
 
 def _not_expanded(path: Path) -> HandModelError:
     return HandModelError(
-        f"'{path}' has xacro elements; expand it with `xacro {path.name} > hand.urdf` and name that"
+        f"'{path}' has xacro elements; expand it with `xacro {path.name} > hand.urdf` and use that"
     )
 
 
 def _check(root: Element, name: str, any_inertia: bool) -> None:
     links = root.findall("link")
-    if len(links) > _MOST_LINKS:
-        raise HandModelError(f"'{name}' has {len(links)} links; at most {_MOST_LINKS} are read")
+    if len(links) > _MAX_LINKS:
+        raise HandModelError(f"'{name}' has {len(links)} links; at most {_MAX_LINKS} are read")
     for joint in root.findall("joint"):
         for tag, attribute, value in _numbers(joint, _OF_JOINTS, name):
             if joint.get("type") in _LIMITED and attribute == "effort" and value <= 0.0:
@@ -116,7 +119,7 @@ def _check(root: Element, name: str, any_inertia: bool) -> None:
 
 
 def _check_tree(root: Element, name: str) -> None:
-    """Refuse links and joints that do not form a tree, and joints that urdfdom does not know."""
+    """Check that links and joints form a tree, with joint types of urdfdom."""
     for kind in ("link", "joint"):
         names = [str(each.get("name")) for each in root.findall(kind)]
         if twice := [each for each in names if names.count(each) > 1]:
@@ -145,7 +148,7 @@ def _check_tree(root: Element, name: str) -> None:
 
 
 def _check_inertia(link: Element, name: str, any_inertia: bool) -> None:
-    """Refuse principal moments that no distribution of mass has."""
+    """Reject principal moments that are physically impossible."""
     found = _numbers(link, {"inertial/inertia": _INERTIA}, name)
     given = {attribute: value for _, attribute, value in found}
     xx, yy, zz, xy, xz, yz = (given.get(key, 0.0) for key in _INERTIA)

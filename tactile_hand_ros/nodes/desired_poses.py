@@ -12,7 +12,7 @@ from geometry_msgs.msg import PoseStamped
 from tactile_hand_ros import names
 from tactile_hand_ros.control.controller import Controller
 from tactile_hand_ros.control.laws import Target
-from tactile_hand_ros.control.targets import MOST_WAITING
+from tactile_hand_ros.control.targets import MAX_WAITING
 from tactile_hand_ros.errors import MessageError
 from tactile_hand_ros.ros import qos
 from tactile_hand_ros.ros.messages import PoseCodec
@@ -52,7 +52,7 @@ class DesiredPoses:
         self._node, self._controller = node, controller
         self._last_tick = last_tick
         self._codec = PoseCodec(nan_allowed=True)
-        self.fresh: deque[tuple[Target, int]] = deque(maxlen=MOST_WAITING)
+        self.fresh: deque[tuple[Target, int]] = deque(maxlen=MAX_WAITING)
         self._publisher = node.create_publisher(PoseStamped, names.ACCEPTED_POSE, qos.user_qos())
         node.subscribe(PoseStamped, names.DESIRED_POSE, self.take, profile=qos.user_qos(), raw=True)
 
@@ -67,7 +67,7 @@ class DesiredPoses:
         self._controller.command(target, stamp)
         self.fresh.append((target, stamp))
         if self._controller.dropped > dropped:
-            text = f"more than {MOST_WAITING} poses wait for their tick, the earliest is dropped"
+            text = f"more than {MAX_WAITING} poses wait for their tick, the earliest is dropped"
             self._node.reject(names.DESIRED_POSE, text)
             self._node.diagnostics.value("dropped_poses", self._controller.dropped)
 

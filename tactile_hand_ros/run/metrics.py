@@ -157,6 +157,12 @@ class Metrics(Plain):
         dropped_at_s: When the object was dropped; NaN if it was held or let go.
         goal_reached: Whether the object is held, the final errors are inside the scenario's goal,
             and no contact is known to have slid farther than it allows; None without a scenario.
+
+    Example:
+        >>> from tactile_hand_ros import simulate
+        >>> found = simulate("paper", {"duration": 0.1, "targets": []}).metrics
+        >>> found.ticks, found.is_dropped, found.to_dict()["contacts_lost_ticks"]
+        (51, False, 0)
     """
 
     ticks: int

@@ -49,6 +49,11 @@ class Run(Result):
         topics: Names of the hand's topics and fingers.
         messages: The messages of the hand's topics by full name.
         series: The same as arrays with log times, by full name.
+
+    Example:
+        >>> run = Run("runs/latest")
+        >>> run.record.theta.shape, run.record.finger_names
+        ((51, 9), ['finger_1', 'finger_2', 'finger_3'])
     """
 
     bag_metrics: BagMetrics

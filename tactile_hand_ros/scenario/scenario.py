@@ -144,11 +144,12 @@ class Scenario(Config):
 
     @model_validator(mode="after")
     def _the_hold_stays_inside_the_crush_limit(self) -> Scenario:
-        hold, limit = self.plant.guard.hold.squeeze_limit, self.slip_regulator.maximum
+        hold, limit = self.plant.guard.hold.internal_force_limit, self.slip_regulator.maximum
         if hold > limit:
             raise ValueError(
-                f"plant.guard.hold.squeeze_limit = {hold:g} N is above slip_regulator.maximum = "
-                f"{limit:g} N; lower it, or leave it out to take over that limit"
+                f"plant.guard.hold.internal_force_limit = {hold:g} N is above "
+                f"slip_regulator.maximum = {limit:g} N; lower it, or leave it out to take over "
+                "that limit"
             )
         return self
 
@@ -206,7 +207,7 @@ def _derive_holds(data: dict[str, Any]) -> None:
     if not isinstance(hold, dict) or not isinstance(posture, dict):
         return
     limit = regulator.get("maximum", SlipRegulatorConfig.model_fields["maximum"].default)
-    derived = {"squeeze_limit": limit}
+    derived = {"internal_force_limit": limit}
     try:
         encoder = EncoderConfig.model_validate(plant.get("encoder", {}))
     except ValidationError:
@@ -243,7 +244,7 @@ def plain(scenario: Scenario) -> dict[str, Any]:
     encoder, limit = scenario.plant.encoder, scenario.slip_regulator.maximum
     controller = data["manipulation_controller"]
     derived = (
-        (data["plant"]["guard"]["hold"], "squeeze_limit", limit),
+        (data["plant"]["guard"]["hold"], "internal_force_limit", limit),
         (data["plant"]["guard"]["hold"], "resolution", encoder.resolution),
         (controller["hold"], "resolution", encoder.resolution),
         (controller, "grasp_force_limit", limit),

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One step of hand, object and the contacts between them, on arrays; see `plant`."""
+"""One step of hand, object and contacts, on arrays; see `plant`."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ Array = NDArray[np.float64]
 
 TOUCH = 1e-6  # gap below which a finger counts as touching, m
 NEAR = 2e-3  # gap below which a contact is part of the problem of a step, m
-_RECOVERY = 0.2  # share of a penetration that is removed in a step
-_FASTEST_RECOVERY = 5e-3  # and its highest speed, m/s: what leaves is not to fly off
+_RECOVERY = 0.2  # fraction of a penetration that a step removes
+_FASTEST_RECOVERY = 5e-3  # m/s, its largest speed, so that the object does not fly off
 
 
 class World(NamedTuple):
-    """What stays the same.
+    """Constants of hand and object.
 
     Attributes:
         radii: Fingertip radii, shape (k,), m.
@@ -42,18 +42,18 @@ class World(NamedTuple):
 
 
 class Motion(NamedTuple):
-    """Hand and object at one instant, and what a step needs of the one that led there.
+    """Hand and object at one instant, and the results of the last step.
 
     Attributes:
         theta: Joint angles, shape (m,), rad.
         velocities: Joint rates, velocity and spin of the object, shape (m + 6,).
-        position: Centre of mass, shape (3,), m.
+        position: Center of mass, shape (3,), m.
         rotation: Object frame in the palm frame, shape (3, 3).
         before: The velocities one step earlier, shape (m + 6,).
         rows: A of `velocity_map` half a step earlier, shape (k, 3, m + 6).
         impulses: Impulses of the step on the object in contact frames, shape (k, 3), N s.
         sliding: Tangential velocities of the object against the tips (x, z), shape (k, 2), m/s.
-        settled: Which contacts were closed and pushed already, so that nothing struck, shape (k,).
+        settled: Which contacts were closed and loaded already, without an impact, shape (k,).
         slid: Distance that each contact has slid since the start, shape (k,), m.
         residual: Largest relative violation of the contact laws in the step.
         outcome: EXACT, RELAXED or UNSOLVED of `coulomb`.
@@ -74,7 +74,7 @@ class Motion(NamedTuple):
 
 
 def at_rest(theta: Array, position: Array, rotation: Array, fingers: int) -> Motion:
-    """Return how hand and object start; see `Motion`."""
+    """Return the initial `Motion` at joint angles, shape (m,), rad, and a pose of the object."""
     k, still = fingers, np.zeros(len(theta) + 6)
     past = np.zeros((k, 3, len(still))), np.zeros((k, 3)), np.zeros((k, 2))
     settled = np.zeros(k, dtype=np.bool_)
@@ -83,10 +83,7 @@ def at_rest(theta: Array, position: Array, rotation: Array, fingers: int) -> Mot
 
 @compiled
 def half_step(h: float, now: Motion) -> tuple[Array, Array]:
-    """Return joint angles and velocities half a step of h, in s, ahead.
-
-    Forces that grow with the square of the rates need the velocities there as well.
-    """
+    """Return joint angles and velocities after half a step h, s; bias forces need both."""
     v = now.velocities
     return now.theta + 0.5 * h * v[: len(now.theta)], v + 0.5 * (v - now.before)
 
@@ -95,13 +92,13 @@ def half_step(h: float, now: Motion) -> tuple[Array, Array]:
 def contact_geometry(
     world: World, position: Array, rotation: Array, tips: Array
 ) -> tuple[Array, Array, Array]:
-    """Return where fingertips touch or come closest to the object.
+    """Return the contact, or the closest point, of each fingertip.
 
     Args:
         world: Object and fingertips.
-        position: Centre of mass of the object, palm frame, shape (3,), m.
+        position: Center of mass of the object, palm frame, shape (3,), m.
         rotation: Object frame in the palm frame, shape (3, 3).
-        tips: Fingertip centres, palm frame, shape (k, 3), m.
+        tips: Fingertip centers, palm frame, shape (k, 3), m.
 
     Returns:
         Points on the fingertips p_c = p_f + r n, shape (k, 3), contact frames, shape (k, 3, 3), and
@@ -120,10 +117,9 @@ def contact_geometry(
 
 @compiled
 def observed(world: World, now: Motion, tips: Array) -> tuple[Array, Array, Array, Array]:
-    """Return contact points, frames and gaps as `contact_geometry`, NaN where nothing touches.
+    """Return `contact_geometry`, NaN without a contact, and the last impulses, (k, 3), N s.
 
-    What is pushed touches, whatever rounding makes of its gap. The last are the impulses of the
-    last step in these frames, shape (k, 3), N s.
+    A loaded fingertip touches, whatever the rounding of its gap. Impulses are in these frames.
     """
     points, frames, gaps = contact_geometry(world, now.position, now.rotation, tips)
     impulses, m = now.impulses.copy(), len(now.theta)
@@ -143,7 +139,7 @@ def velocity_map(hand: RawDynamics, position: Array, points: Array, frames: Arra
     Its hand part is -R_C^T J_h and its object part R_C^T G^T with G of (4), equation (6).
     """
     k, m = hand.support.shape
-    tips = Fingertips(hand.centres, *tip_jacobians(hand.spatial, hand.support, hand.centres))
+    tips = Fingertips(hand.centers, *tip_jacobians(hand.spatial, hand.support, hand.centers))
     out = np.empty((k, 3, m + 6))
     out[:, :, :m] = -hand_jacobian(tips, points, frames)
     out[:, :, m:] = grasp_map(points - position, frames).T.reshape(k, 3, 6)
@@ -160,10 +156,9 @@ def step(
     torque: Array,
     wrench: Array,
 ) -> Motion:
-    """Advance velocities by a step h, in s, so that the contact laws hold at its end.
+    """Return hand (3) and object (5) a step later, under the contact laws.
 
-    The impulses of hand (3) and object (5) are those with which their velocities meet (6) in the
-    contacts that stick, and Coulomb's law in the others.
+    Contacts that stick obey (6), the others Coulomb's law.
 
     Args:
         h: Length of the step, s.
@@ -172,12 +167,12 @@ def step(
         friction: Coulomb friction of each finger, shape (k,).
         hand: The hand half a step ahead.
         torque: tau, shape (m,), N m.
-        wrench: External wrench and weight about the object's centre of mass, shape (6,), N and N m.
+        wrench: External wrench and weight about the object's center of mass, shape (6,), N and N m.
     """
     k, m = hand.support.shape
     v = now.velocities
     position, rotation = _moved(now.position, now.rotation, 0.5 * h, v[m:])
-    points, frames, gaps = contact_geometry(world, position, rotation, hand.centres)
+    points, frames, gaps = contact_geometry(world, position, rotation, hand.centers)
     every = velocity_map(hand, position, points, frames)
     turning, slid = _since(h, now, every)
     near = np.flatnonzero(gaps < NEAR)
@@ -197,7 +192,7 @@ def step(
         solved = solve_contacts(delassus, before + turn, closing, mu, start)
         struck = bool(((solved.impulses[:, 1] > 0.0) & ~now.settled[near]).any())
         if (struck or solved.outcome != EXACT) and turn.any():
-            # How contacts turned before says nothing of how they do now.
+            # The last turning does not apply to an impact.
             solved = solve_contacts(delassus, before, closing, mu, start)
         free = free + inverse_times @ solved.impulses.copy().reshape(-1)
         for i in range(c):
@@ -207,8 +202,7 @@ def step(
         residual, outcome = solved.residual, solved.outcome
     theta = now.theta + 0.5 * h * (v[:m] + free[:m])
     position, rotation = _moved(position, rotation, 0.5 * h, free[m:])
-    # Back onto the rotations, before rounding errors of many products add up: one step of Newton's
-    # iteration to the nearest rotation (Higham 1986).
+    # One step of Newton's iteration to the nearest rotation (Higham 1986), against rounding errors.
     rotation = 1.5 * rotation - 0.5 * (rotation @ (rotation.T @ rotation))
     contacts = every, impulses, sliding, settled, slid, residual, outcome
     return Motion(theta, free, position, rotation, free if struck else v, *contacts)
@@ -216,11 +210,11 @@ def step(
 
 @compiled
 def _since(h: float, now: Motion, rows: Array) -> tuple[Array, Array]:
-    """Compare contacts with those of the last step, from whose middle to this one's v led.
+    """Compare contacts with those of the last step, half a step earlier and later.
 
     Returns:
-        The turning (A - A_before) v / 2, shape (k, 3), m/s, by which A v grows until the end of the
-        step, zero for contacts that have just closed, and the distance slid, shape (k,), m.
+        The growth (A - A_before) v / 2 of A v, shape (k, 3), m/s, zero for contacts that have just
+        closed, and the distance slid, shape (k,), m.
     """
     v, m = now.velocities, len(now.theta)
     turning, slid = np.zeros(now.impulses.shape), now.slid.copy()
@@ -237,13 +231,12 @@ def _since(h: float, now: Motion, rows: Array) -> tuple[Array, Array]:
 def carried(now: Array, then: Array, vector: Array) -> Array:
     """Return a vector in the axes that a contact has now, shape (3,).
 
-    The parts along the normal and across it stay; the tangents, which follow the palm's z axis, may
-    have turned about the normal by any angle since then.
+    The tangents, which follow the palm's z axis, may have turned about the normal.
 
     Args:
-        now: The axes of the contact frame as rows, palm axes, shape (3, 3 or more).
-        then: The same at a time shortly before.
-        vector: In the axes of then, shape (3,).
+        now: Axes of the contact frame as rows, palm axes, shape (3, 3 or more).
+        then: The same shortly before.
+        vector: In the axes of `then`, shape (3,).
     """
     c, s = 0.0, 0.0
     for a in range(3):
@@ -259,7 +252,7 @@ def carried(now: Array, then: Array, vector: Array) -> Array:
 
 @compiled
 def _closing(gap: float, h: float) -> float:
-    """Return the speed at which a gap may close within a step, or a penetration must be left."""
+    """Return the speed at which a gap may close, or a penetration must open, m/s."""
     return gap / h if gap > 0.0 else max(_RECOVERY * gap / h, -_FASTEST_RECOVERY)
 
 

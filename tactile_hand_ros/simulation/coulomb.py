@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Unilateral contact with Coulomb friction over one step: which contacts stick, slip or open.
+"""Unilateral contact with Coulomb friction over one step: contacts stick, slip or open.
 
 Let w = W p + b be the velocities of the object against the fingertips after the step, in contact
 frames (x, n, z), and p the impulses on the object. Every contact obeys
@@ -7,14 +7,13 @@ frames (x, n, z), and p the impulses on the object. Every contact obeys
     Signorini   0 <= p_n,  0 <= w_n + c,  p_n (w_n + c) = 0   (c = gap / h lets an open gap close)
     Coulomb     |p_t| <= mu p_n,  and  p_t = -mu p_n w_t / |w_t|  where w_t != 0
 
-The cone is the exact circular one and sticking means w_t = 0 to rounding. Where no gap is negative
-(c >= 0) and velocities before the step exist that make b, there always is a solution, whatever mu
-and however singular W; see docs/explanation/physics.md. A penetration (c < 0) cannot always be
-left: fingers may jam the object. Then it may not grow, which is c = 0. One in a hundred arbitrary
-problems with a singular W or a huge mu is not solved; the outcome says so.
+The cone is circular and sticking means w_t = 0 to rounding. Without penetration (c >= 0) a solution
+exists for any mu and any singular W; see docs/explanation/physics.md. A penetration (c < 0) cannot
+always be removed, since fingers may jam the object. Then it must not grow, which is c = 0. One in a
+hundred random problems with a singular W or a huge mu is not solved, and the outcome is UNSOLVED.
 
-The laws hold where a function of p vanishes, whose root Newton's method finds (Alart and Curnier
-1991).
+Newton's method finds the root of a function of p that vanishes where the laws hold (Alart and
+Curnier 1991).
 """
 
 from __future__ import annotations
@@ -32,18 +31,18 @@ Array = NDArray[np.float64]
 EXACT = 0
 """Outcome: both laws hold."""
 RELAXED = 1
-"""Outcome: penetrations could not be left in this step; they do not grow."""
+"""Outcome: penetrations could not be removed in this step; they do not grow."""
 UNSOLVED = 2
-"""Outcome: no impulses were found that obey the laws; those applied take energy and add none."""
+"""Outcome: no impulses were found that obey the laws; the ones applied add no energy."""
 
 _TOLERANCE = 1e-10  # of the residual
-_ROUNDING = 1e-9  # of the impulse that stops a contact: an open one would seem to touch
+_ROUNDING = 1e-9  # of the impulse that stops a contact; smaller ones count as open
 _EXACT = 1e-14
 _MAX_STEPS = 40
 _MAX_HALVINGS = 8
-_SINGULAR = 1e-13  # of the largest pivot: what is less is rounding
-_IMMOVABLE = 1e-8  # of the largest diagonal of W: less counts as much
-# Where Newton's method fails: other factors of r, and numbers of steps in which friction grows.
+_SINGULAR = 1e-13  # of the largest pivot; smaller ones are rounding
+_IMMOVABLE = 1e-8  # of the largest diagonal of W, its lower bound
+# Retries of Newton's method: factor of r, and number of steps in which friction grows.
 _ATTEMPTS = ((1.0, 1), (0.1, 1), (10.0, 1), (1.0, 4), (1.0, 16), (1.0, 64))
 
 
@@ -70,9 +69,8 @@ def solve_contacts(
 ) -> ContactImpulses:
     """Solve the contact laws of one step.
 
-    Sticking of all contacts is tried first, since it needs one linear solve. Where that leaves a
-    cone, a semi-smooth Newton method finds the modes of all contacts together; where it fails, it
-    starts again elsewhere. What counts is the residual of the laws.
+    The first trial is sticking of all contacts, by one linear solve. If a force leaves its cone, a
+    semi-smooth Newton method finds the modes of all contacts together, with restarts.
 
     Args:
         delassus: W, shape (3c, 3c), 1/kg, symmetric and positive semidefinite.
@@ -121,14 +119,14 @@ def _answer(delassus: Array, free: Array, p: Array, left: float, outcome: int) -
 
 
 class _Laws(NamedTuple):
-    """What the impulses p of a step must obey: 0 <= p_n, 0 <= w_n and so on with w = W p + b.
+    """The contact laws of a step for impulses p, with w = W p + b.
 
     Attributes:
         delassus: W, shape (3c, 3c), 1/kg, symmetric and positive semidefinite.
         offset: b, velocities without contact impulses, closing speeds included, shape (3c,), m/s.
         friction: mu, shape (c,).
-        mobility: r, shape (3c,), kg: turns velocities into impulses; any r > 0 leaves the
-            roots where they are.
+        mobility: r > 0, shape (3c,), kg: turns velocities into impulses, without effect on the
+            roots.
         size: Impulses that stop the contacts one by one, shape (3c,), N s.
     """
 
@@ -143,18 +141,18 @@ class _Laws(NamedTuple):
 def _contact_laws(delassus: Array, offset: Array, friction: Array) -> _Laws:
     """Return the laws with the inverse diagonal of W as mobility."""
     largest = np.diag(delassus).max()
-    least = _IMMOVABLE * largest if largest > 0.0 else 1.0
+    smallest = _IMMOVABLE * largest if largest > 0.0 else 1.0
     r = np.empty(len(offset))
     for x in range(0, len(offset), 3):
         tangential = 0.5 * (delassus[x, x] + delassus[x + 2, x + 2])
-        r[x] = r[x + 2] = 1.0 / max(tangential, least)
-        r[x + 1] = 1.0 / max(delassus[x + 1, x + 1], least)
+        r[x] = r[x + 2] = 1.0 / max(tangential, smallest)
+        r[x + 1] = 1.0 / max(delassus[x + 1, x + 1], smallest)
     return _Laws(delassus, offset, friction, r, r * max(np.abs(offset).max(), 1e-300))
 
 
 @compiled
 def _search(laws: _Laws, best: Array, left: float) -> tuple[Array, float]:
-    """Start from zero in several ways; return the best impulses known so far and their residual."""
+    """Start from zero in several ways; return the best impulses so far and their residual."""
     for stiffness, parts in _ATTEMPTS:
         p = np.zeros(len(laws.offset))
         for part in range(1, parts + 1):
@@ -171,7 +169,7 @@ def _search(laws: _Laws, best: Array, left: float) -> tuple[Array, float]:
 
 @compiled
 def _without_gain(laws: _Laws, p: Array) -> Array:
-    """Return p, shortened where its work p b + p W p / 2 on the two bodies would be positive."""
+    """Return p, shortened if its work p b + p W p / 2 on the two bodies would be positive."""
     work, stopping = float(p @ laws.offset), float(p @ (laws.delassus @ p))
     if not work < 0.0:
         return np.zeros(len(p))
@@ -181,17 +179,17 @@ def _without_gain(laws: _Laws, p: Array) -> Array:
 
 @compiled
 def _residual(laws: _Laws, p: Array) -> float:
-    """Return the largest violation of the laws, in units of the fastest velocity without impulses.
+    """Return the largest violation of the laws, per largest velocity without impulses.
 
-    It judges velocities where contacts stick and impulses where they are open, so that neither
-    huge impulses nor huge velocities hide the other.
+    It measures velocities where contacts stick and impulses where they are open, so that large
+    values of one do not hide the other.
     """
     return float(np.abs(_violation(laws, p, 1.0)).max())
 
 
 @compiled
 def _into_cones(laws: _Laws, p: Array) -> float:
-    """Bring p exactly into the cones, where it is but for rounding, and return its residual."""
+    """Remove rounding errors that leave the cones from p, and return its residual."""
     for i in range(len(laws.friction)):
         x, n, z = 3 * i, 3 * i + 1, 3 * i + 2
         if not p[n] > _ROUNDING * laws.size[n]:
@@ -204,21 +202,21 @@ def _into_cones(laws: _Laws, p: Array) -> float:
 
 @compiled
 def _newton(laws: _Laws, p: Array, stiffness: float) -> Array:
-    """Return the best iterate of Newton's method from impulses p on, shape (3c,), N s.
+    """Return the best iterate of Newton's method from impulses p, shape (3c,), N s.
 
-    The stiffness is a factor of r: where one fails, another may not.
+    The stiffness is a factor of r: if one fails, another may not.
     """
-    best, least = p, np.inf
+    best, smallest = p, np.inf
     for _ in range(_MAX_STEPS):
         value = _violation(laws, p, stiffness)
         worst = np.abs(value).max()
         if not worst < np.inf:
             break
-        before = least
-        if worst < least:
-            best, least = p, worst
-        # Convergence is quadratic: one more step is worth it until rounding stops it.
-        if least < _EXACT or (least < _TOLERANCE and worst > 0.1 * before):
+        before = smallest
+        if worst < smallest:
+            best, smallest = p, worst
+        # Convergence is quadratic, so continue until rounding stops it.
+        if smallest < _EXACT or (smallest < _TOLERANCE and worst > 0.1 * before):
             break
         step = _eliminate(_slope(laws, p, stiffness), -value)
         # Halve the step until the merit falls; take the full step when it never does.
@@ -237,7 +235,7 @@ def _newton(laws: _Laws, p: Array, stiffness: float) -> Array:
 
 @compiled
 def _violation(laws: _Laws, p: Array, stiffness: float) -> Array:
-    """Return F(p) / size, which vanishes where both laws hold.
+    """Return F(p) / size, which vanishes if both laws hold.
 
     F_n = p_n - max(0, a_n) and F_t = p_t - proj(a_t) onto the disc of radius mu max(0, a_n), with
     a = p - r w.
@@ -258,7 +256,7 @@ def _violation(laws: _Laws, p: Array, stiffness: float) -> Array:
 
 @compiled
 def _slope(laws: _Laws, p: Array, stiffness: float) -> Array:
-    """Return an element of the generalised Jacobian of F / size at p."""
+    """Return an element of the generalized Jacobian of F / size at p."""
     w, b, mu, mobility, _ = laws
     r = stiffness * mobility
     aim = p - r * (w @ p + b)
@@ -288,7 +286,7 @@ def _slope(laws: _Laws, p: Array, stiffness: float) -> Array:
 def _eliminate(matrix: Array, right: Array) -> Array:
     """Return the solution of a system of n equations; both arguments are overwritten.
 
-    Where the matrix is singular, the unknowns that the other equations leave free are zero.
+    If the matrix is singular, unknowns that the equations do not determine are zero.
     """
     n = len(right)
     order = np.arange(n)
@@ -306,9 +304,9 @@ def _eliminate(matrix: Array, right: Array) -> Array:
         matrix[i], matrix[row] = matrix[row].copy(), matrix[i].copy()
         matrix[:, i], matrix[:, column] = matrix[:, column].copy(), matrix[:, i].copy()
         for a in range(i + 1, n):
-            share = matrix[a, i] / matrix[i, i]
-            right[a] -= share * right[i]
-            matrix[a, i + 1 :] -= share * matrix[i, i + 1 :]
+            factor = matrix[a, i] / matrix[i, i]
+            right[a] -= factor * right[i]
+            matrix[a, i + 1 :] -= factor * matrix[i, i + 1 :]
     out = np.zeros(n)
     for i in range(rank - 1, -1, -1):
         total = right[i]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the joints' encoders and current sensors report of the true angles, rates and torques."""
+"""The simulated encoders and current sensors of the joints."""
 
 from __future__ import annotations
 
@@ -15,25 +15,20 @@ Array = NDArray[np.float64]
 
 
 class EncoderConfig(Config):
-    """How well the joints know their angles; exact unless bits or noise are given."""
+    """Errors of joint angles; exact without bits and noise."""
 
     bits: int = param(0, "resolution of a turn, 0 for exact", ge=0, le=32)
     noise: float = param(0.0, "standard deviation of an angle", unit="rad", ge=0.0)
-    rate_cutoff: float = param(
-        100.0,
-        "corner frequency of the filter on the differences of angles that give the rates",
-        unit="Hz",
-        gt=0.0,
-    )
+    rate_cutoff: float = param(100.0, "corner frequency of the rates", unit="Hz", gt=0.0)
 
     @property
     def is_exact(self) -> bool:
-        """Whether angles and rates are reported as they are."""
+        """Whether angles and rates are exact."""
         return self.bits == 0 and self.noise == 0.0
 
     @property
     def step(self) -> float:
-        """Step of an angle, rad; 0 where it is continuous."""
+        """Step of an angle, rad; 0 for a continuous one."""
         return 2.0 * math.pi / 2**self.bits if self.bits else 0.0
 
     @property
@@ -43,7 +38,7 @@ class EncoderConfig(Config):
 
 
 class JointReading(NamedTuple):
-    """What the joints report at a tick.
+    """Report of the joints at a tick.
 
     Attributes:
         theta: Joint angles, shape (m,), rad.
@@ -59,19 +54,19 @@ class JointReading(NamedTuple):
 class JointSensor:
     """Reports joint angles in steps of an encoder, and rates as filtered differences of them.
 
-    An encoder of b bits reports the middle of one of 2^b steps a turn. Its rates are the
-    differences of the reported angles behind a low-pass of first order with the corner frequency
-    f: r += (1 - exp(-2 pi f T)) (d theta / T - r). An exact encoder reports the true rates.
+    An encoder of b bits reports the middle of one of 2^b steps per turn. Its rates are low-passed
+    differences of these angles, r += (1 - exp(-2 pi f T)) (d theta / T - r), with the corner
+    frequency f. An exact encoder reports the true rates.
     """
 
     def __init__(self, encoder: EncoderConfig, effort_noise: float, tick: float, seed: int) -> None:
-        """Take noise and resolution.
+        """Build the sensors.
 
         Args:
-            encoder: Of the angles.
+            encoder: Errors of the angles.
             effort_noise: Standard deviation of a reported torque, N m.
             tick: Time between two readings, s.
-            seed: Of the noise.
+            seed: Seed of the noise.
         """
         self._encoder, self._effort_noise, self._tick = encoder, effort_noise, tick
         self._follow = -math.expm1(-2.0 * math.pi * encoder.rate_cutoff * tick)
@@ -79,14 +74,14 @@ class JointSensor:
         self.reset()
 
     def reset(self) -> None:
-        """Begin with joints at rest, and with the same noise as at the first start."""
-        # A stream of its own: the skin draws from the same seed, and from [seed, 1].
+        """Start with joints at rest and the first noise again."""
+        # A separate stream: the skin uses [seed] and [seed, 1].
         self._random = np.random.default_rng([self._seed, 2])
         self._last: Array | None = None
         self._rates = np.zeros(0)
 
     def step(self, theta: Array, rates: Array, effort: Array) -> JointReading:
-        """Return what is reported of true angles [rad], rates [rad/s] and torques [N m], (m,)."""
+        """Return the report of true angles, rad, rates, rad/s, and torques, N m, shapes (m,)."""
         if self._effort_noise > 0.0:
             effort = effort + self._random.normal(0.0, self._effort_noise, len(effort))
         if self._encoder.is_exact:

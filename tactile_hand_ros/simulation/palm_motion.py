@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How the palm turns in the world, as the forearm of its user does, about the palm's origin."""
+"""Rotation of the palm in the world about its origin, as by the forearm of the user."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ Array = NDArray[np.float64]
 
 
 class PalmTurn(Config):
-    """An orientation of the palm in the world, and when it is reached."""
+    """An orientation of the palm in the world and its time."""
 
     time: float = param(..., "when it is reached", unit="s", ge=0.0)
     rotation: Vector = param(..., "rotation vector of the palm in the world", unit="rad")
 
 
 class Turning(NamedTuple):
-    """How the palm lies and turns at one instant.
+    """Rotation and its rates of the palm at one instant.
 
     Attributes:
         rotation: Palm in the world, shape (3, 3).
@@ -37,9 +37,9 @@ class Turning(NamedTuple):
 
 
 def palm_turning(turns: Sequence[PalmTurn], time: float) -> Turning:
-    """Return how the palm lies and turns at a time, s.
+    """Return the motion of the palm at a time, s.
 
-    It starts unturned. Between two orientations it turns about one axis, with the least jerk, from
+    It starts unturned. Between two orientations it turns about one axis with minimum jerk, from
     rest to rest (Flash and Hogan 1985): s = 10 x^3 - 15 x^4 + 6 x^5 of the way after x of the time.
     """
     at, start = np.eye(3), 0.0
@@ -57,7 +57,7 @@ def palm_turning(turns: Sequence[PalmTurn], time: float) -> Turning:
 
 
 def apparent_wrench(turning: Turning, body: tuple[float, Array], motion: Sequence[Array]) -> Array:
-    """Return what a turning palm adds to the forces on a body, shape (6,), N and N m.
+    """Return the apparent force and torque on a body in a turning palm, shape (6,), N and N m.
 
     In the axes of the palm, with its angular velocity W and acceleration A, and the velocity v and
     angular velocity w of a body at r against the palm,
@@ -66,7 +66,7 @@ def apparent_wrench(turning: Turning, body: tuple[float, Array], motion: Sequenc
         t = -(W x I (W + w) + w x I W - I (w x W) + I A).
 
     Args:
-        turning: Of the palm.
+        turning: Motion of the palm.
         body: Mass, kg, and inertia about its center of mass in palm axes, shape (3, 3), kg m^2.
         motion: r, v and w, each of shape (3,).
     """

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """The plant: hand (3), object (5) and unilateral, frictional, rolling contact between them.
 
-One step follows Moreau's midpoint rule (Moreau 1988): the geometry is taken half a step ahead,
-the velocities after the step obey the contact laws there, and positions move with the mean of the
-velocities before and after. The contact point p_c = p_f + r n is computed at each step, so that
-it moves over both bodies as the fingertip rolls; the acceleration form of (6) is never needed.
+One step follows Moreau's midpoint rule (Moreau 1988). The geometry is half a step ahead, the
+velocities after the step obey the contact laws there, and positions move with the mean of the
+velocities before and after. Each step computes the contact point p_c = p_f + r n, so that it moves
+over both bodies as the fingertip rolls, without the acceleration form of (6).
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ Array = NDArray[np.float64]
 _FASTEST = 1e4  # rad/s and m/s
 _ENDLESS = 1e9  # times the largest inertia: that of a joint at its stop
 _REACH = 5e-3  # initial gap that `reset` closes by moving the fingers, m
-_REACH_BY_TOUCH = 5e-2  # the same for a hand that knows itself wrongly and closes by touch, m
+_REACH_BY_TOUCH = 5e-2  # the same with a wrong calibration, where the hand closes by touch, m
 
 
 class PlantState(NamedTuple):
@@ -53,17 +53,17 @@ class PlantState(NamedTuple):
         theta: Joint angles, shape (m,), rad.
         rates: Joint rates, shape (m,), rad/s.
         torque: Torque that acted on the joints, shape (m,), N m.
-        joints: What the joints report of these three.
-        position: Object's centre of mass, shape (3,), m.
+        joints: Report of the joints.
+        position: Object's center of mass, shape (3,), m.
         rotation: Object frame in the palm frame, shape (3, 3).
-        velocity: Velocity of the centre of mass, shape (3,), m/s.
+        velocity: Velocity of the center of mass, shape (3,), m/s.
         spin: Angular velocity, shape (3,), rad/s.
         contacts: Contact points and frames; NaN where a finger does not touch.
         forces: Contact forces on the object in contact frames, shape (k, 3), N.
         sliding: Tangential velocities of the object against the tips (x, z), shape (k, 2), m/s.
         slid: Distance that each contact has slid since the start, shape (k,), m.
         gaps: Distances of the fingertips from the object, shape (k,), m.
-        palm: Palm in the world, a quaternion (x, y, z, w); None where it never turns.
+        palm: Quaternion (x, y, z, w) of the palm in the world, shape (4,); None if it never turns.
     """
 
     theta: Array
@@ -87,17 +87,20 @@ class Plant:
 
     Attributes:
         config: Its parameters.
-        hand: The hand as it is.
-        known: The hand as its model says, the same where its calibration is right.
+        hand: The true hand.
+        model: The hand of the controllers, the same with a correct calibration.
         solid: The object's shape.
         friction: Coulomb friction of each finger now, shape (k,).
         time: Simulated time, s.
-        relaxed_steps: Steps since the start in which a penetration could not be left.
-        unsolved_steps: Steps since the start in which the contact laws were not met.
+        relaxed_steps: Steps since the start in which a penetration could not be removed.
+        unsolved_steps: Steps since the start without a solution of the contact laws.
     """
 
     def __init__(self, config: PlantConfig) -> None:
-        """Build hand and object and put them at their start.
+        """Build hand and object in their initial state.
+
+        Args:
+            config: Its parameters.
 
         Raises:
             HandModelError: If the hand cannot be built.
@@ -106,7 +109,7 @@ class Plant:
         """
         self.config = config
         self._gravity = np.array(config.gravity)
-        self.hand = self.known = Hand.load(config.hand, config.layout, self._gravity)
+        self.hand = self.model = Hand.load(config.hand, config.layout, self._gravity)
         self._reach = _REACH
         c = config.calibration
         if not c.is_right:
@@ -132,12 +135,12 @@ class Plant:
             return np.tile(given, k)
         raise ConfigurationError(
             f"initial_joints has {len(given)} angles; expected {m}, one per joint"
-            + (f", or {m // k} for every finger alike" if m % k == 0 else ""),
+            + (f", or {m // k} for every finger" if m % k == 0 else ""),
             place="initial_joints",
         )
 
     def reset(self) -> PlantState:
-        """Put hand and object at their start, at rest, with the fingers touching."""
+        """Return the initial state: at rest, with the fingers touching the object."""
         c = self.config.object
         self.time = 0.0
         self._steps = 0
@@ -158,7 +161,7 @@ class Plant:
         self._joints = self._joint_sensor.step(self._now.theta, rates, self._torque)
 
     def _closed(self, now: Motion) -> Motion:
-        """Move the fingers so that tips near the object touch it exactly."""
+        """Return the state in which tips near the object touch it exactly."""
         for _ in range(20):
             place = now.position, now.rotation, self.hand.tip_positions(now.theta)
             _, frames, gaps = contact_geometry(self._world, *place)
@@ -178,21 +181,24 @@ class Plant:
         return now
 
     def advance(self, torque: Array) -> PlantState:
-        """Move one tick ahead while the joints keep a torque, shape (m,), N m; see `drive`."""
+        """Return the state one tick later, under a constant torque; see `drive`.
+
+        Args:
+            torque: Joint torques, shape (m,), N m.
+        """
         return self.drive(lambda since, theta, rates: torque)
 
     def drive(self, torque_of: Callable[[int, Array, Array], Array]) -> PlantState:
-        """Move one tick ahead with the torques of a drive, which acts at each integration step.
+        """Return the state one tick later, with a torque for each integration step.
 
-        The torques are limited to the joints' effort limits, as a motor would. The joints report
-        their mean.
+        The effort limits of the joints apply, and the joints report the mean torque.
 
         Args:
             torque_of: Returns the torque, shape (m,), N m, from the time since the tick, ns, and
-                the angles, rad, and rates, rad/s, that the joints report then.
+                the reported angles, rad, and rates, rad/s.
 
         Raises:
-            DivergedError: If something has become faster than anything real; only a reset helps.
+            DivergedError: If a velocity is impossibly large; then call `reset`.
         """
         limit, c = self.hand.effort_limits, self.config
         for i in range(c.steps_per_tick):
@@ -205,7 +211,7 @@ class Plant:
         if not self._now.velocities.dot(self._now.velocities) < _FASTEST**2:  # NaN is not, either
             raise DivergedError(
                 f"the simulation has diverged at {self.time:.3f} s, joints or object are faster "
-                f"than {_FASTEST:g} rad/s or m/s: commands that are too late or too stiff do that; "
+                f"than {_FASTEST:g} rad/s or m/s, as with late commands or high gains; "
                 "lower the gains or the load of the computer, and reset the plant"
             )
         return self.state
@@ -232,11 +238,11 @@ class Plant:
         self.time = self._steps * h
 
     def _within_limits(self, h: float, hand: RawDynamics, wrench: Array) -> Motion:
-        """Return a step at whose end no joint is beyond a limit that it was not beyond before.
+        """Return a step in which no joint passes a limit.
 
-        A joint that would pass its limit has met a stop, whose impulse acts on it alone and takes
-        its rate: energy is lost. The step is taken again with that joint at rest, as if its inertia
-        had no end. It may leave the stop in any later step.
+        At a limit is a stop, whose impulse acts on its joint alone and dissipates energy. If a
+        joint would pass it, the step is repeated with that joint at rest, by a huge inertia. A
+        later step may leave the stop.
         """
         now, m = self._now, self.hand.joints
         lower, upper = self.hand.position_limits
@@ -258,12 +264,12 @@ class Plant:
             hand = hand._replace(inertia=inertia)
 
     def _turn_palm(self, time: float) -> Turning | None:
-        """Let gravity act as the palm lies at a time, s; return how it turns, if it ever does."""
+        """Turn gravity with the palm at a time, s; return its motion, None if it never turns."""
         if not self.config.palm_motion:
             return None
         turning = palm_turning(self.config.palm_motion, time)
         gravity = turning.rotation.T @ self._gravity
-        self.known.gravity = turning.rotation.T @ np.array(self.config.gravity)
+        self.model.gravity = turning.rotation.T @ np.array(self.config.gravity)
         self.hand.gravity = gravity
         self._weight = np.concatenate([self._world.mass * gravity, np.zeros(3)])
         return turning
@@ -275,7 +281,7 @@ class Plant:
 
     @property
     def state(self) -> PlantState:
-        """Hand and object now; a step replaces its arrays and never writes into them."""
+        """State of hand and object; a step replaces its arrays."""
         now, m = self._now, self.hand.joints
         tips = self.hand.tip_positions(now.theta)
         points, frames, gaps, impulses = observed(self._world, now, tips)
@@ -310,11 +316,11 @@ class Plant:
 
 
 def sliding_speeds(state: PlantState) -> Array:
-    """Return how fast each contact slides, shape (k,), m/s."""
+    """Return the sliding speed of each contact, shape (k,), m/s."""
     return np.asarray(np.hypot(state.sliding[:, 0], state.sliding[:, 1]))
 
 
 def true_reading(state: PlantState) -> TactileReading:
-    """Return the true contacts of a plant's state as they travel on topics."""
+    """Return the true contacts of a state in the form of topics."""
     positions, rotations = state.contacts.positions, state.contacts.rotations
     return TactileReading(positions, quaternions_of_rows(rotations.reshape(-1, 9)), state.forces)

@@ -18,33 +18,24 @@ from tactile_hand_ros.simulation.palm_motion import PalmTurn
 from tactile_hand_ros.simulation.skin import CalibrationConfig
 from tactile_hand_ros.simulation.solid import ConvexPolyhedron
 
-_MOST_GYRATION = 10.0  # radius of gyration, relative to the reach of the object
-_MOST_VERTICES = 500  # each contact is looked for on all faces, at each step
+_MAX_GYRATION = 10.0  # radius of gyration, relative to the reach of the object
+_MAX_VERTICES = 500  # each step searches all faces for each contact
 
 
 class ObjectConfig(Config):
-    """The object in the hand: shape, mass and where it starts."""
+    """The object in the hand: shape, mass and initial pose."""
 
-    size: Vector = param(
-        (0.2604, 0.2604, 0.2604), "edges of a box, used without vertices", unit="m"
-    )
+    size: Vector = param((0.2604, 0.2604, 0.2604), "edges of a box, without vertices", unit="m")
     vertices: list[float] = param(
-        [], "corners x, y, z of a convex polyhedron", unit="m", max_length=3 * _MOST_VERTICES
+        [], "corners x, y, z of a convex polyhedron", unit="m", max_length=3 * _MAX_VERTICES
     )
     mass: float = param(0.0018, "mass", unit="kg", gt=0.0)
     inertia: list[float] = param(
-        [],
-        "inertia about the object's axes, empty for that of a uniform body",
-        unit="kg m^2",
-        max_length=3,
+        [], "inertia about its axes, empty for a uniform body", unit="kg m^2", max_length=3
     )
     friction: float = param(100.0, "Coulomb friction mu of fingertips on it", live=True, ge=0.0)
-    position: Vector = param(
-        (0.0, 0.0, 0.4098), "centre of mass at the start, palm frame", unit="m"
-    )
-    rotation: Vector = param(
-        (0.0, 0.0, 0.0), "rotation vector at the start, palm frame", unit="rad"
-    )
+    position: Vector = param((0.0, 0.0, 0.4098), "initial center of mass, palm frame", unit="m")
+    rotation: Vector = param((0.0, 0.0, 0.0), "initial rotation vector, palm frame", unit="rad")
 
     @model_validator(mode="after")
     def _is_a_body(self) -> ObjectConfig:
@@ -59,9 +50,9 @@ class ObjectConfig(Config):
         return self
 
     def _check_inertia(self) -> None:
-        """Refuse an inertia that no body has, or none of this size and mass comes near.
+        """Reject an inertia that is impossible, or far too large for this size and mass.
 
-        The paper's object has four times what a body of its size can have.
+        The paper's object has four times the inertia that a body of its size can have.
         """
         if len(self.inertia) != 3 or min(self.inertia) <= 0.0:
             raise ValueError(
@@ -76,7 +67,7 @@ class ObjectConfig(Config):
             )
         corners = np.reshape(self.vertices, (-1, 3)) if self.vertices else np.array([self.size]) / 2
         reach = float(np.linalg.norm(corners, axis=1).max())
-        largest = _MOST_GYRATION**2 * self.mass * reach**2
+        largest = _MAX_GYRATION**2 * self.mass * reach**2
         if max(self.inertia) > largest:
             raise ValueError(
                 f"inertia = {self.inertia}: no body of {self.mass:g} kg that reaches {reach:.2g} m "
@@ -84,7 +75,7 @@ class ObjectConfig(Config):
             )
 
     def solid(self) -> ConvexPolyhedron:
-        """Return the shape, in the frame of the centre of mass.
+        """Return the shape, in the frame of the center of mass.
 
         Raises:
             ObjectModelError: If the vertices do not span a solid.
@@ -97,7 +88,7 @@ class ObjectConfig(Config):
         """Return the inertia of a shape about the object's axes, shape (3, 3), kg m^2.
 
         Raises:
-            ObjectModelError: If it is to be that of a uniform body whose centre is elsewhere.
+            ObjectModelError: If a uniform body has its center of mass elsewhere.
         """
         if self.inertia:
             return np.diag(self.inertia)
@@ -105,21 +96,21 @@ class ObjectConfig(Config):
 
 
 class Disturbance(Config):
-    """One push on the object, at its centre of mass and in palm axes."""
+    """One push on the object, at its center of mass and in palm axes."""
 
     kind: Literal["step", "ramp", "pulse", "sine"] = param(
         "step",
-        "step stays, ramp rises for its duration and stays, pulse ends after its duration, sine "
-        "swings for its duration",
+        "step stays, ramp rises for its duration and stays, pulse stops after its duration, sine "
+        "oscillates for its duration",
     )
-    start: float = param(0.0, "when it begins", unit="s", ge=0.0)
+    start: float = param(0.0, "when it starts", unit="s", ge=0.0)
     duration: float = param(0.1, "how long a ramp, pulse or sine lasts", unit="s", gt=0.0)
     frequency: float = param(1.0, "frequency of a sine", unit="Hz", gt=0.0)
     force: Vector = param((0.0, 0.0, 0.0), "force, the amplitude of a sine", unit="N")
     torque: Vector = param((0.0, 0.0, 0.0), "torque, the amplitude of a sine", unit="N m")
 
     def factor(self, time: float) -> float:
-        """Return the share of force and torque that acts at a time in s."""
+        """Return the fraction of force and torque that acts at a time in s."""
         since = time - self.start
         if since < 0.0 or (self.kind in ("pulse", "sine") and since >= self.duration):
             return 0.0
@@ -129,7 +120,7 @@ class Disturbance(Config):
 
 
 def external_wrench(disturbances: Sequence[Disturbance], time: float) -> NDArray[np.float64]:
-    """Return w_e, force and torque about the object's centre of mass, shape (6,), N and N m."""
+    """Return w_e, force and torque about the object's center of mass, shape (6,), N and N m."""
     wrench = np.zeros(6)
     for push in disturbances:
         factor = push.factor(time)
@@ -139,10 +130,10 @@ def external_wrench(disturbances: Sequence[Disturbance], time: float) -> NDArray
 
 
 class FrictionChange(Config):
-    """The object's surface becomes another from some time on, by water say."""
+    """A change of the object's friction, as by water."""
 
     start: float = param(..., "when it changes", unit="s", ge=0.0)
-    friction: float = param(..., "Coulomb friction mu from then on", ge=0.0)
+    friction: float = param(..., "new Coulomb friction mu", ge=0.0)
 
 
 class PlantConfig(Config):
@@ -157,9 +148,7 @@ class PlantConfig(Config):
     gravity: Vector = param((0.0, 0.0, 0.0), "acceleration of gravity, palm frame", unit="m/s^2")
     calibration: CalibrationConfig = CalibrationConfig()
     encoder: EncoderConfig = EncoderConfig()
-    effort_noise: float = param(
-        0.0, "standard deviation of a reported joint torque", unit="N m", ge=0.0
-    )
+    effort_noise: float = param(0.0, "standard deviation of joint torques", unit="N m", ge=0.0)
     seed: int = param(1, "seed of everything random", ge=0)
     friction_changes: list[FrictionChange] = param([], "changes of the friction over time")
     disturbances: list[Disturbance] = param([], "external wrenches on the object over time")
@@ -173,16 +162,14 @@ class PlantConfig(Config):
     )
     busy_wait: float = param(
         0.0,
-        "in real time, how long before each tick to stop sleeping and watch the clock: less jitter"
-        " for processor time; at most half a tick",
+        "in real time, time before each tick spent in a busy wait: less jitter for more processor "
+        "time; at most half a tick",
         unit="s",
         ge=0.0,
         le=0.01,
     )
-    duration: float = param(
-        0.0, "simulated time after which the plant stops; 0 for never", unit="s", ge=0.0
-    )
-    autostart: bool = param(True, "run at once; otherwise wait for the run service")
+    duration: float = param(0.0, "simulated time of the run, 0 for no end", unit="s", ge=0.0)
+    autostart: bool = param(True, "run immediately; otherwise wait for the run service")
     command_timeout: float = param(
         1.0,
         "silence in lockstep after which the joints are held; in real time see guard.age_limit",

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A run of the plant: ticks, their stamps, the end, and the guard in front of the joints."""
+"""A run of the plant: ticks, stamps, duration, and the guard in front of the joints."""
 
 from __future__ import annotations
 
@@ -14,30 +14,30 @@ Array = NDArray[np.float64]
 
 
 class PlantRun:
-    """Moves a plant tick by tick; the joints get only what the guard lets through.
+    """Moves a plant tick by tick, with a guard in front of the joints.
 
     Attributes:
         plant: The plant.
-        guard: Judges each command at each tick.
+        guard: Checks the command at each tick.
         state: Hand and object at the present tick.
         stamp: The present tick, ns.
     """
 
     def __init__(self, config: PlantConfig) -> None:
-        """Build hand and object at their start.
+        """Build hand and object in their initial state.
 
         Raises:
             TactileHandError: If hand or object cannot be built.
         """
         self.plant = Plant(config)
-        self.guard = CommandGuard(config.guard, self.plant.known, config.tick, config.step)
+        self.guard = CommandGuard(config.guard, self.plant.model, config.tick, config.step)
         self._tick = config.tick
         self._end = round(config.duration * config.rate) * config.tick
         self._load_compiled_code()
         self.reset()
 
     def _load_compiled_code(self) -> None:
-        """Step once, so that neither the first tick nor the first held one is late."""
+        """Step once, so that the first ticks are not late."""
         self.plant.drive(lambda since, theta, rates: self.guard.step(since, theta, rates, None))
 
     def reset(self) -> None:
@@ -49,7 +49,7 @@ class PlantRun:
         self._refused = ""
 
     def configure(self, config: PlantConfig) -> None:
-        """Take another friction, for now and for after a reset."""
+        """Change the friction, also for the time after a reset."""
         self.plant.config = config
         self.plant.friction[:] = config.object.friction
 
@@ -60,7 +60,7 @@ class PlantRun:
 
     @property
     def commanded(self) -> bool:
-        """Whether a torque was commanded since the start."""
+        """Whether a command has arrived since the start."""
         return self._command is not None
 
     @property
@@ -74,11 +74,11 @@ class PlantRun:
         return self._refused or self.guard.reason
 
     def command(self, stamp: int, torque: Array) -> None:
-        """Take the torque, shape (m,), N m, that answers a tick, ns; the guard judges it."""
+        """Receive the torque, shape (m,), N m, that answers a tick, ns; the guard checks it."""
         self._command = TorqueCommand(stamp, torque)
 
     def hold(self, reason: str) -> None:
-        """Refuse all commands from now on, so that the joints are held."""
+        """Refuse all commands, so that the joints are held, and give the reason."""
         self._refused = reason
 
     def release(self) -> None:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The simulated tactile sensor: true contacts in, what a skin would report out."""
+"""The simulated tactile sensor: turns true contacts into the report of a skin."""
 
 from __future__ import annotations
 
@@ -23,50 +23,46 @@ from tactile_hand_ros.rotations import (
     rows_of_quaternions,
 )
 
-if TYPE_CHECKING:  # a skin that is right does without the model
+if TYPE_CHECKING:  # only a wrong calibration needs the model
     from tactile_hand_ros.hand.hand import Hand
 
 Array = NDArray[np.float64]
 
 
 class VibrationConfig(Config):
-    """Micro-vibration that a skin picks up while a contact slides (Johansson and Westling 1987)."""
+    """Micro-vibration of the force at a sliding contact (Johansson and Westling 1987)."""
 
-    gain: float = param(
-        0.0, "rms force per sliding speed, for slow sliding", unit="N s/m", live=True, ge=0.0
-    )
-    limit: float = param(0.2, "rms force that fast sliding tends to", unit="N", live=True, gt=0.0)
+    gain: float = param(0.0, "rms force per speed of slow sliding", unit="N s/m", live=True, ge=0.0)
+    limit: float = param(0.2, "rms force in the limit of fast sliding", unit="N", live=True, gt=0.0)
     low: float = param(60.0, "lower edge of the band", unit="Hz", gt=0.0)
     high: float = param(400.0, "upper edge of the band", unit="Hz", gt=0.0)
 
 
 class CalibrationConfig(Config):
-    """What the hand knows wrongly of itself, the same for all fingers; by default nothing.
+    """Errors of the hand's model, the same for all fingers; none by default.
 
-    The plant has the true hand. Everything else, the skin's driver among them, works with the
-    model: a contact is reported where the model says that fingertip is.
+    The plant has the true hand. All else works with the model, including the driver of the skin:
+    it reports a contact on the fingertip of the model.
     """
 
-    link_lengths: float = param(
-        1.0, "true lengths of all links against those of the URDF", ge=0.5, le=2.0
-    )
+    link_lengths: float = param(1.0, "true link lengths, relative to the URDF", ge=0.5, le=2.0)
     tip_radii: float = param(
-        1.0, "true radii of the fingertips against those of the hand's YAML", ge=0.5, le=2.0
+        1.0, "true fingertip radii, relative to the hand's YAML", ge=0.5, le=2.0
     )
     skin_rotation: Vector = param(
         (0.0, 0.0, 0.0),
-        "rotation vector by which skins report contacts turned, axes of the fingertip",
+        "rotation vector of the reported contacts against the true ones, axes of the fingertip",
         unit="rad",
     )
     gravity_rotation: Vector = param(
         (0.0, 0.0, 0.0),
-        "rotation vector of true gravity against the one that the hand knows, palm axes",
+        "rotation vector of true gravity against that of the model, palm axes",
         unit="rad",
     )
 
     @property
     def is_right(self) -> bool:
-        """Whether the hand knows everything as it is."""
+        """Whether the model has no errors."""
         lengths = self.link_lengths == self.tip_radii == 1.0
         return lengths and not np.any([self.skin_rotation, self.gravity_rotation])
 
@@ -104,21 +100,17 @@ class TactileSensorConfig(Config):
     vibration: VibrationConfig = VibrationConfig()
     latency: float = param(0.0, "age of a sample when it is published", unit="s", ge=0.0, le=1.0)
     dropout: float = param(
-        0.0,
-        "chance that a finger's sample is lost, so that its last is repeated",
-        live=True,
-        ge=0.0,
-        le=1.0,
+        0.0, "chance of a repeated sample, per finger", live=True, ge=0.0, le=1.0
     )
     seed: int = param(1, "seed of everything random", ge=0)
 
 
 @dataclass(frozen=True)
 class TactileReading:
-    """What the skin reports, as it travels on topics.
+    """A report of the skin, in the form of topics.
 
     Attributes:
-        positions: Contact points in the palm frame, shape (k, 3), m; NaN where there is none.
+        positions: Contact points in the palm frame, shape (k, 3), m; NaN without a contact.
         quaternions: Contact frames C_i in the palm frame (x, y, z, w), shape (k, 4).
         forces: Forces on the object in C_i, shape (k, 3), N.
     """
@@ -134,17 +126,17 @@ class TactileReading:
 
 
 def miscalibrated(
-    config: CalibrationConfig, known: Hand, theta: Array, true: TactileReading
+    config: CalibrationConfig, model: Hand, theta: Array, true: TactileReading
 ) -> TactileReading:
-    """Return contacts p = p_f + r n and forces with the known p_f and r and a turned n.
+    """Return contacts p = p_f + r n and forces, with p_f and r of the model and a turned n.
 
     Args:
         config: The errors.
-        known: The hand as its controllers know it.
+        model: The hand of the controllers.
         theta: Joint angles, shape (m,), rad.
         true: The true contacts.
     """
-    centres, tips = known.tip_positions(theta), known.tip_rotations(theta)
+    centers, tips = model.tip_positions(theta), model.tip_rotations(theta)
     turns = tips @ rotation_from_vector(config.skin_rotation) @ np.swapaxes(tips, 1, 2)
     frames = turns @ rotation_from_quaternion(true.quaternions)
     normals = frames[:, :, 1]
@@ -152,7 +144,7 @@ def miscalibrated(
     forces = np.swapaxes(seen, 1, 2) @ frames @ true.forces[:, :, None]
     touches = np.isfinite(true.positions[:, :1])
     return TactileReading(
-        centres + known.radii[:, None] * normals,
+        centers + model.radii[:, None] * normals,
         quaternion_from_rotation(seen),
         np.where(touches, forces[:, :, 0], 0.0),
     )
@@ -161,42 +153,41 @@ def miscalibrated(
 _MEMORY = np.dtype(
     [
         ("bias", np.float64, 3),  # drifted zero of the force
-        ("felt", np.float64, 3),  # force after the bandwidth; NaN: none yet
-        ("arm", np.float64, 3),  # smoothed contact from the fingertip's centre; NaN: none
+        ("measured", np.float64, 3),  # force after the bandwidth; NaN: none yet
+        ("arm", np.float64, 3),  # smoothed contact from the fingertip's center; NaN: none
     ]
 )
 
 
 class TactileSensor:
-    """Samples true contacts as a skin would, all from one seed.
+    """Samples true contacts like a skin, with one seed.
 
-    A force passes, in this order: vibration while the contact slides, the skin's bandwidth, the
-    drifting zero, white noise, resolution, dropout and latency. A skin that is faster than the
-    ticks takes all its samples of a vibration, at its own rate, and a tick reads the newest; what
-    is true is known at ticks only, and stands for the samples since the last one.
+    A force passes these stages: vibration while the contact slides, bandwidth, drift of the zero,
+    white noise, resolution, dropout and latency. A skin that is faster than the ticks samples the
+    vibration at its own rate, and the true contacts of a tick hold since the last tick.
     """
 
     def __init__(
         self,
         config: TactileSensorConfig,
         radii: Array,
-        known: Hand | None = None,
+        model: Hand | None = None,
     ) -> None:
         """Build the skin of fingertips.
 
         Args:
             config: Its parameters.
             radii: Radii of the fingertips, shape (k,), m.
-            known: The hand as its controllers know it; only needed where its calibration is wrong.
+            model: The hand of the controllers; only needed with a wrong calibration.
         """
         self._radii = np.asarray(radii, dtype=float)
-        self._known = None if config.calibration.is_right else known
+        self._model = None if config.calibration.is_right else model
         self._at_rest = np.zeros(len(self._radii))
         self.configure(config)
         self.reset()
 
     def configure(self, config: TactileSensorConfig) -> None:
-        """Take other noise while running; seed, rate, latency and filters stay."""
+        """Change the noise while running; seed, rate, latency and filters stay."""
         self.config = config
         self._numbers = row_of(config)
 
@@ -208,8 +199,8 @@ class TactileSensor:
         self._held: TactileReading | None = None
         self._waiting: deque[tuple[int, TactileReading]] = deque()
         self._memory: Rows = np.zeros(k, _MEMORY)
-        self._memory["felt"] = self._memory["arm"] = np.nan
-        self._unread = np.random.default_rng([c.seed, 1])  # of samples that no tick reads
+        self._memory["measured"] = self._memory["arm"] = np.nan
+        self._unread = np.random.default_rng([c.seed, 1])  # of samples between ticks
         band = c.vibration.low, c.vibration.high
         self._rumble = BandNoise((k, 3), *band, c.rate, c.bandwidth)
 
@@ -220,7 +211,7 @@ class TactileSensor:
         sliding: Array | None = None,
         theta: Array | None = None,
     ) -> TactileReading:
-        """Return what is published at a tick.
+        """Return the published report of a tick.
 
         Args:
             stamp: The tick, ns.
@@ -228,8 +219,8 @@ class TactileSensor:
             sliding: Sliding speeds of the contacts, shape (k,), m/s; none slides by default.
             theta: Joint angles, shape (m,), rad; only needed with a wrong calibration.
         """
-        if self._known is not None and theta is not None:
-            true = miscalibrated(self.config.calibration, self._known, theta, true)
+        if self._model is not None and theta is not None:
+            true = miscalibrated(self.config.calibration, self._model, theta, true)
         sample = int(stamp * 1e-9 * self.config.rate + 1e-6)
         if sample != self._sample:
             count = 1 if self._sample < 0 else sample - self._sample
@@ -237,7 +228,7 @@ class TactileSensor:
             self._sample = sample
             self._waiting.append((stamp, self._measure(true, sliding, elapsed, count)))
         due = stamp - round(self.config.latency * 1e9)
-        # The first sample stands in for what was before it.
+        # The first sample replaces those before it.
         while self._held is None or (self._waiting and self._waiting[0][0] <= due):
             self._held = self._waiting.popleft()[1]
         return self._held
@@ -247,9 +238,9 @@ class TactileSensor:
     ) -> TactileReading:
         """Return the newest of a number of samples."""
         k = len(self._radii)
-        # Drawn for every finger at every sample: one finger's luck leaves the others' alone.
+        # Drawn for every finger at every sample, so that fingers do not affect each other.
         white = self._random.standard_normal((4, k, 3))
-        luck = self._random.random(k)
+        draws = self._random.random(k)
         if self.config.vibration.gain > 0.0:
             unread = max(0, min(count, math.ceil(self.config.rate)) - 1)  # of a second at most
             samples = white[1:2]
@@ -263,7 +254,7 @@ class TactileSensor:
         measured = _measured(self._memory, numbers, radii, *touch, speeds, white, elapsed)
         last = self._waiting[-1][1] if self._waiting else self._held
         if last is not None and self.config.dropout > 0.0:
-            lost = (luck < self.config.dropout)[:, None]
+            lost = (draws < self.config.dropout)[:, None]
             before = last.positions, last.quaternions, last.forces
             merged = (np.where(lost, *pair) for pair in zip(before, measured, strict=True))
             return TactileReading(*merged)
@@ -287,34 +278,34 @@ def _measured(
     The noise, of unit variance, is for location, vibration, drift and force, shape (4, k, 3).
     """
     c = config[0]
-    positions, quaternions, felt = positions.copy(), quaternions.copy(), forces.copy()
+    positions, quaternions, measured = positions.copy(), quaternions.copy(), forces.copy()
     for i in range(len(radii)):
-        felt[i] += _vibration(c, sliding[i]) * noise[1, i]
+        measured[i] += _vibration(c, sliding[i]) * noise[1, i]
     is_displaced = c["location_noise"] > 0.0 or c["location_resolution"] > 0.0
     if is_displaced or c["bandwidth"] > 0.0 or c["bias_drift"] > 0.0:
-        # A force is one vector, in whatever frame it is reported.
-        felt = in_palm(rows_of_quaternions(quaternions).reshape(-1, 3, 3), felt, 1.0)
-        _follow(memory, c, felt, noise[2], elapsed)
+        # In one frame, since the reported contact frame moves.
+        measured = in_palm(rows_of_quaternions(quaternions).reshape(-1, 3, 3), measured, 1.0)
+        _follow(memory, c, measured, noise[2], elapsed)
         if is_displaced:
             _displace(memory, c, radii, positions, quaternions, noise[0], elapsed)
         seen = rows_of_quaternions(quaternions).reshape(-1, 3, 3)
-        felt = in_palm(seen.transpose(0, 2, 1), felt, 1.0)
+        measured = in_palm(seen.transpose(0, 2, 1), measured, 1.0)
     for i in range(len(radii)):
         touches = math.isfinite(positions[i, 0])
         for axis in range(3):
-            force = felt[i, axis] + c["force_noise"] * noise[3, i, axis]
-            felt[i, axis] = _rounded(force, c["force_resolution"]) if touches else 0.0
-    return positions, quaternions, felt
+            force = measured[i, axis] + c["force_noise"] * noise[3, i, axis]
+            measured[i, axis] = _rounded(force, c["force_resolution"]) if touches else 0.0
+    return positions, quaternions, measured
 
 
 @compiled
 def _follow(memory: Rows, c: Row, forces: Array, white: Array, elapsed: float) -> None:
-    """Give forces, palm axes, the skin's bandwidth and drift; without a contact, NaN, it rests."""
+    """Apply bandwidth and drift to forces in palm axes; without a contact, NaN, they rest."""
     fraction, walk = 1.0, c["bias_drift"] * math.sqrt(elapsed)
     if c["bandwidth"] > 0.0:
         fraction = -math.expm1(-2.0 * math.pi * c["bandwidth"] * elapsed)
     for i in range(len(memory)):
-        before, bias = memory[i]["felt"], memory[i]["bias"]
+        before, bias = memory[i]["measured"], memory[i]["bias"]
         bias += walk * white[i]
         if not math.isfinite(forces[i, 0]):
             before[:] = 0.0
@@ -350,21 +341,21 @@ def _displace(
             shifted = radii[i] * normal[axis] + c["location_noise"] * white[i, axis]
             shifted = _rounded(shifted, c["location_resolution"])
             arm[axis] = _settled(memory[i], c, axis, shifted, elapsed)
-        centre = positions[i] - radii[i] * normal
+        center = positions[i] - radii[i] * normal
         seen = arm / math.sqrt(arm[0] * arm[0] + arm[1] * arm[1] + arm[2] * arm[2])
-        positions[i] = centre + radii[i] * seen
+        positions[i] = center + radii[i] * seen
         frames[i] = contact_frame(seen).reshape(9)
     quaternions[:] = quaternions_of_rows(frames)
 
 
 @compiled
 def _settled(m: Row, c: Row, axis: int, arm: float, elapsed: float) -> float:
-    """Low-pass where on the fingertip the contact is; a new contact shows at once."""
+    """Low-pass the place of a contact on its fingertip; a new contact appears immediately."""
     if c["location_bandwidth"] > 0.0:
-        share = 1.0 - math.exp(-2.0 * math.pi * c["location_bandwidth"] * elapsed)
+        fraction = 1.0 - math.exp(-2.0 * math.pi * c["location_bandwidth"] * elapsed)
         before = m["arm"][axis]
         if math.isfinite(before):
-            arm = before + share * (arm - before)
+            arm = before + fraction * (arm - before)
         m["arm"][axis] = arm
     return arm
 
@@ -384,14 +375,14 @@ class BandNoise:
     def __init__(
         self, shape: tuple[int, int], low: float, high: float, rate: float, bandwidth: float
     ) -> None:
-        """Start at rest; frequencies above half the rate count as half the rate.
+        """Start at rest; frequencies are limited to half the rate.
 
         Args:
             shape: Shape of a sample.
             low: Lower edge of the band, Hz.
             high: Upper edge of the band, Hz.
             rate: Samples per second, Hz.
-            bandwidth: Corner frequency of what the noise is led through next, 0 for none, Hz.
+            bandwidth: Corner frequency of the next low-pass, 0 for none, Hz.
         """
         nyquist = 0.5 * rate
         self._pass = 1.0 - math.exp(-2.0 * math.pi * min(high, nyquist) / rate)
@@ -404,10 +395,10 @@ class BandNoise:
         self._smooth, self._slow = np.zeros(shape), np.zeros(shape)
 
     def step(self, white: Array) -> Array:
-        """Return the mean of the next samples, each weighted with what the bandwidth leaves of it.
+        """Return the mean of the next samples, weighted by the low-pass of the bandwidth.
 
-        A low-pass that takes this mean for all their time comes out where it would with each of
-        them in turn. A single sample is itself, and without a bandwidth only the newest counts.
+        Held for their time, this mean has the same effect on the low-pass as the samples. Without
+        a bandwidth it is the newest sample.
 
         Args:
             white: White noise of unit variance, shape (n, *shape), oldest first.

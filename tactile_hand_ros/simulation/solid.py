@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The object's shape: a convex polyhedron and the point of it that is closest to a fingertip."""
+"""The object's shape: a convex polyhedron, and its closest point to a fingertip."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from tactile_hand_ros.errors import ObjectModelError
 
 Array = NDArray[np.float64]
 
-_CENTRED = 0.01  # of the largest coordinate, by which vertices as people write them miss the centre
+_CENTERED = 0.01  # of the largest coordinate: error of the center of rounded vertices
 
 
 class Shape(NamedTuple):
@@ -38,7 +38,7 @@ class Shape(NamedTuple):
 
 @compiled
 def closest_point(shape: Shape, point: Array) -> tuple[float, Array]:
-    """Find where a solid is closest to a point, shape (3,), m, in the frame of the solid.
+    """Find the closest point of a solid to a point, shape (3,), m, in the frame of the solid.
 
     Returns:
         Signed distance in m, negative inside, and the outward unit vector from the solid to the
@@ -46,7 +46,7 @@ def closest_point(shape: Shape, point: Array) -> tuple[float, Array]:
     """
     heights = shape.normals @ point - shape.offsets
     face = int(np.argmax(heights))
-    # The nearest plane is the nearest face only if the foot of the perpendicular lies in it.
+    # The nearest plane has the nearest face only if the face contains the projection.
     if heights[face] <= 0.0 or _above(shape, face, point):
         return heights[face], shape.normals[face]
     for other in range(len(heights)):
@@ -95,8 +95,8 @@ class ConvexPolyhedron:
 
         Args:
             vertices: Shape (v, 3), m.
-            planes: Outward unit normals and heights n, d with n . p + d = 0 on each face, shape
-                (f, 4), where they are known; then all points must be corners.
+            planes: Outward unit normals n and heights d with n . p + d = 0 on each face, shape
+                (f, 4), if known; then all points must be corners.
 
         Raises:
             ObjectModelError: If the points do not span a volume.
@@ -112,10 +112,10 @@ class ConvexPolyhedron:
 
     @classmethod
     def box(cls, size: Array) -> ConvexPolyhedron:
-        """Return a box centred at the origin with the given edge lengths, shape (3,), m."""
+        """Return a box centered at the origin with the given edge lengths, shape (3,), m."""
         half = np.asarray(size, dtype=float) / 2.0
         signs = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
-        # The planes are known, in the order in which Qhull would find them.
+        # In the order in which Qhull would find them.
         x, y, z = np.eye(3)
         normals = np.array([-z, -y, x, -x, y, z])
         return cls(signs * half, np.column_stack([normals, -np.abs(normals) @ half]))
@@ -127,21 +127,21 @@ class ConvexPolyhedron:
         v = a . (b x c) / 6 and second moment v (a a^T + b b^T + c c^T + s s^T) / 20, s = a + b + c.
 
         Raises:
-            ObjectModelError: If its centre of mass is not at the origin, where the object's is.
+            ObjectModelError: If its center of mass is not at the origin.
         """
-        volume, centre, moment = 0.0, np.zeros(3), np.zeros((3, 3))
+        volume, center, moment = 0.0, np.zeros(3), np.zeros((3, 3))
         for corners in self.face_corners:
             for i in range(1, len(corners) - 1):
                 abc = self.vertices[corners[[0, i, i + 1]]]
                 part, s = np.linalg.det(abc) / 6.0, abc.sum(axis=0)
                 volume += part
-                centre += part * s / 4.0
+                center += part * s / 4.0
                 moment += part * (abc.T @ abc + np.outer(s, s)) / 20.0
-        centre, moment = centre / volume, moment / volume
-        if np.abs(centre).max() > _CENTRED * np.abs(self.vertices).max():
-            x, y, z = centre
+        center, moment = center / volume, moment / volume
+        if np.abs(center).max() > _CENTERED * np.abs(self.vertices).max():
+            x, y, z = center
             raise ObjectModelError(
-                f"the uniform body between these vertices has its centre of mass at ({x:.3g}, "
+                f"the uniform body between these vertices has its center of mass at ({x:.3g}, "
                 f"{y:.3g}, {z:.3g}) m, expected the origin; move the vertices, or give 'inertia'"
             )
         return np.asarray(np.trace(moment) * np.eye(3) - moment)
@@ -182,7 +182,7 @@ class ConvexPolyhedron:
 
 def _hull(points: Array) -> tuple[Array, Array]:
     """Return corners and face planes of the convex hull of points, shape (v, 3) and (f, 4), m."""
-    # Not at the top: a plant with a box, which is most of them, would load it in vain for 0.1 s.
+    # Not at the top: it takes 0.1 s to load, and a box does not need it.
     from scipy.spatial import ConvexHull, QhullError
 
     try:

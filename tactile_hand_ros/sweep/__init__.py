@@ -41,6 +41,12 @@ def run(
 
     Raises:
         TactileHandError: If a name, path, range or value cannot be used.
+
+    Example:
+        >>> short, over = {"duration": 0.1, "targets": []}, ["plant.object.mass=0.1..0.2"]
+        >>> results = run("paper", over, short, folder="mass", runs=2, jobs=1)
+        >>> len(results.column("max_slip_distance_m"))
+        2
     """
     from tactile_hand_ros.sweep.engine import workers
     from tactile_hand_ros.sweep.results import Results

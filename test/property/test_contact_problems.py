@@ -68,7 +68,7 @@ def test_one_contact_has_its_known_answer(problem, impulse, velocity):
     np.testing.assert_allclose(solved.velocities, [velocity], atol=1e-10)
 
 
-def test_two_contacts_that_cannot_tell_their_load_apart_share_it():
+def test_two_contacts_with_an_undetermined_load_divide_it():
     """W is singular: any split of the load is right, and one must be found."""
     delassus, free = np.kron(np.ones((2, 2)), np.eye(3)), np.tile([0.0, -1.0, 0.0], 2)
     solved = Problem(delassus, free, np.zeros(2), np.ones(2)).solve()

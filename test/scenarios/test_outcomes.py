@@ -137,7 +137,7 @@ def test_without_reshaping_the_third_finger_slips_when_shaken(records):
 
 
 @pytest.mark.parametrize("name", ["lift", "gravity"])
-def test_a_run_begins_without_a_peak_of_the_squeeze(records, name):
+def test_a_run_starts_without_a_peak_of_the_grasp_force(records, name):
     """What f* is not shaped for yet asked for up to twice as much in the first milliseconds."""
     grasp_force = records[name, True].grasp_force[:1000]  # of the first second
     assert grasp_force.max() < 1.3 * max(grasp_force[0], grasp_force[-1])

@@ -18,16 +18,16 @@ def skew(a: Array) -> Array:
     return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
 
 
-def hand_jacobian(centres: Array, linear: Array, angular: Array, points: Array) -> Array:
+def hand_jacobian(centers: Array, linear: Array, angular: Array, points: Array) -> Array:
     """Return J_h of equation (2) in palm axes, shape (3k, m).
 
     Args:
-        centres: Fingertip centres p_f, shape (k, 3), m.
+        centers: Fingertip centers p_f, shape (k, 3), m.
         linear: J, shape (k, 3, m).
         angular: J_Omega, shape (k, 3, m).
         points: Contact points p_c, shape (k, 3), m.
     """
-    arms = points - centres
+    arms = points - centers
     return np.vstack([j - skew(p) @ w for j, w, p in zip(linear, angular, arms, strict=True)])
 
 

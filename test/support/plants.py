@@ -23,7 +23,7 @@ def plant(step: float = 0.001, **values: Any) -> Plant:
 
 
 def jacobian(plant: Plant, state: PlantState) -> Array:
-    """Return J_h at a state, shape (3k, m); tips that do not touch count at their centres."""
+    """Return J_h at a state, shape (3k, m); tips that do not touch count at their centers."""
     tips = plant.hand.fingertips(state.theta)
     points = np.where(np.isfinite(state.contacts.positions), state.contacts.positions, 0.0)
     points = np.where(state.contacts.touching[:, None], points, tips.positions)
@@ -49,7 +49,7 @@ def forces_in_palm(state: PlantState) -> Array:
 
 
 def momentum(plant: Plant, state: PlantState) -> tuple[Array, Array]:
-    """Return linear and angular momentum of the object about its centre of mass."""
+    """Return linear and angular momentum of the object about its center of mass."""
     config = plant.config.object
     inertia = state.rotation @ config.inertia_about(config.solid()) @ state.rotation.T
     return config.mass * state.velocity, inertia @ state.spin

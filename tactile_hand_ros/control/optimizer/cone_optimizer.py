@@ -1,18 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The optimization (13) inside friction cones: reshape f* where a larger k_f does not help.
+"""The optimization (13) inside friction cones, for grasps in which a larger k_f does not help.
 
-A contact slips however large the grasp force is when f* itself leaves its cone. Here f* is found
-such that the force of each contact, internal force and load, stays inside:
+A contact slips at any grasp force if f* itself leaves its cone. Here the force of each contact,
+internal force and load, stays inside:
 
     min f^T W f + rho t + w t^2   s.t.  G~ f = 0,  sum f_n = 1,  f_n >= minimum,  t >= 0,
     u_j . (f + l)_t <= mu cos(pi / 12) (f + l)_n + t    for twelve directions u_j,
 
-with l the load per unit of internal force. The pyramid lies inside the cone, so that t = 0
-certifies the friction. Where no such f* exists, t is about the smallest common violation: the best
-that can be done until the grasp force is raised. The linear penalty is exact: with rho above the
-price of a cone, t stays at zero wherever it can.
-
-See `quadratic_program` for how the answer is found.
+with the load l per unit of internal force. The pyramid lies inside the cone, so that t = 0
+certifies the friction. If no such f* exists, t is about the smallest common violation until the
+grasp force rises. The linear penalty is exact: with rho above the price of a cone, t is zero if it
+can be. See `quadratic_program` for the method.
 """
 
 from __future__ import annotations
@@ -31,7 +29,7 @@ _SCALE = 0.3  # of the cost for its largest weight; conditions the dual variable
 
 
 class ConeOptimizer:
-    """Solves (13) inside friction cones; starts with what was active last."""
+    """Solves (13) inside friction cones; starts with the last active set."""
 
     def __init__(self, weights: Array, minimum: float, exact: bool = True) -> None:
         """Set up the problem.
@@ -39,7 +37,7 @@ class ConeOptimizer:
         Args:
             weights: Diagonal of W, shape (3k,).
             minimum: Smallest normal force f_n of a contact.
-            exact: Whether to ask OSQP only where the exact answer fails.
+            exact: Whether to use OSQP only if the exact method fails.
         """
         n, largest = len(weights), weights.max()
         k = n // 3
@@ -72,7 +70,7 @@ def _cone_rows(contact: int, contacts: int) -> slice:
 
 
 def _fixed_rows(k: int) -> Array:
-    """Return the rows of -f_n <= -minimum, -t <= 0 and the cones, without the latters' friction."""
+    """Return the rows of -f_n <= -minimum, -t <= 0 and the cones, without friction."""
     n = 3 * k
     rows = np.zeros((k + 1 + SIDES * k, n + 1))
     rows[np.arange(k), 1 + 3 * np.arange(k)] = -1.0
@@ -86,14 +84,7 @@ def _fixed_rows(k: int) -> Array:
 
 @compiled
 def _with_numbers(fixed: Problem, balance: Array, friction: Array, beyond: Array) -> Problem:
-    """Return the problem with its numbers.
-
-    Args:
-        fixed: What stays.
-        balance: G~^T, shape (3k, 6).
-        friction: Usable mu, shape (k,).
-        beyond: How far the load reaches beyond each side of the pyramids, shape (k, SIDES).
-    """
+    """Return the problem with G~^T, (3k, 6), usable mu, (k,), and `Cones.goal`, (k, SIDES)."""
     equal, rows, bounds = fixed.equal.copy(), fixed.rows.copy(), fixed.bounds.copy()
     n, k = balance.shape[0], len(friction)
     equal[:6, :n] = balance.T

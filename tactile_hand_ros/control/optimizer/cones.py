@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Friction cones and whether forces lie in them; apart from the solver, whose libraries load long.
+"""Friction cones, and whether forces lie in them, without the solver, which loads slowly.
 
-Where the optimization needs planes, twelve of them inside the cone stand for it: a pyramid.
+The optimization replaces each cone by a pyramid of twelve planes inside it.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ SIDES = 12
 _ANGLES = 2.0 * np.pi * np.arange(SIDES) / SIDES
 
 DIRECTIONS = np.array([np.cos(_ANGLES), np.sin(_ANGLES)]).T
-"""Tangential directions in which the sides face, shape (SIDES, 2)."""
+"""Tangential directions of the sides, shape (SIDES, 2)."""
 
 INSIDE = math.cos(math.pi / SIDES)
 """Slope of a pyramid's sides, per mu."""
@@ -35,15 +35,14 @@ INSIDE = math.cos(math.pi / SIDES)
 
 @dataclass(frozen=True)
 class Cones:
-    """What the contacts can bear and what they carry.
+    """Friction and load of the contacts.
 
     Attributes:
-        usable_friction: mu that each contact may use: the learned one less a margin, shape (k,).
-        load: Forces that do not grow with the grasp force, per unit of internal force, shape (k,
-            3).
-        elapsed: Time since the cones before these, s; 0 where there were none.
-        wanted: What f* is made for, as `reaches` gives it: the recent past and a reserve, and less
-            grasp force than there is; None for the load itself; shape (k, SIDES).
+        usable_friction: Usable mu, the learned one less a margin, shape (k,).
+        load: Load in contact frames per unit of internal force, shape (k, 3).
+        elapsed: Time since the last cones, s; 0 without any.
+        wanted: Loads for which f* is optimized, in the form of `reaches`, shape (k, SIDES): the
+            recent past and a reserve at a lower grasp force; None for the present load.
     """
 
     usable_friction: Array
@@ -53,24 +52,37 @@ class Cones:
 
     @property
     def goal(self) -> Array:
-        """What f* is made for, as `reaches` gives it, shape (k, SIDES)."""
+        """Loads for which f* is optimized, in the form of `reaches`, shape (k, SIDES)."""
         return reaches(self.load, self.usable_friction) if self.wanted is None else self.wanted
 
     def holds(self, forces: Array) -> bool:
-        """Return whether forces f* under all that is wanted lie in the pyramids.
+        """Return whether f* under the loads of `goal` lies in the pyramids.
 
-        The pyramids rather than the cones, so that f* does not jump where they begin to matter.
+        Pyramids instead of cones avoid a jump of f* at the start of the optimization.
+
+        Args:
+            forces: f* in contact frames, shape (k, 3).
         """
         return bool((reaches(forces, self.usable_friction) + self.goal <= 0.0).all())
 
     def margin(self, forces: Array) -> float:
-        """Return the minimum mu f_n - |f_t| of f* under the load, per unit of internal force."""
+        """Return the minimum mu f_n - |f_t| of f* under the load, per unit of internal force.
+
+        Args:
+            forces: f* in contact frames, shape (k, 3).
+        """
         return cone_margin(forces, self.load, self.usable_friction)
 
 
 @compiled
 def cone_margin(forces: Array, load: Array, usable_friction: Array) -> float:
-    """Return the minimum mu f_n - |f_t| of forces and load in contact frames, shape (k, 3)."""
+    """Return the minimum mu f_n - |f_t| of forces and load, in their unit.
+
+    Args:
+        forces: In contact frames, shape (k, 3).
+        load: In contact frames, shape (k, 3).
+        usable_friction: mu, shape (k,).
+    """
     minimum = np.inf
     for i in range(len(forces)):
         x, n, z = forces[i] + load[i]
@@ -80,10 +92,14 @@ def cone_margin(forces: Array, load: Array, usable_friction: Array) -> float:
 
 @compiled
 def reaches(forces: Array, usable_friction: Array) -> Array:
-    """Return how far forces reach beyond each side of the friction pyramids, shape (k, SIDES).
+    """Return the distances of forces beyond the sides of the pyramids, shape (k, SIDES).
 
-    That of a sum is the sum of those of its parts. Not positive means inside. A ball of loads of
-    radius d reaches d sqrt(1 + mu^2) further beyond a cone than its center.
+    They are additive in the forces, and not positive inside. A ball of loads of radius d reaches
+    d sqrt(1 + mu^2) further than its center.
+
+    Args:
+        forces: In contact frames, shape (k, 3).
+        usable_friction: mu, shape (k,).
     """
     beyond = np.empty((len(forces), SIDES))
     for i in range(len(forces)):
@@ -98,15 +114,13 @@ def reaches(forces: Array, usable_friction: Array) -> Array:
 def grasp_frames(points: Array, rotations: Array) -> Array:
     """Return contact frames whose tangents follow the grasp instead of the palm, (k, 3, 3).
 
-    t_z is the normal of the plane that is nearest to the contacts, projected on the face. Frames
-    that follow the palm are undefined where a normal lies along palm z. Here that would be a
-    finger that pushes across the plane of all contacts, where its force balances nothing; then its
-    direction to their centroid is taken. A pyramid of an even number of sides is the same for
-    either sign of the plane's normal.
+    t_z is the normal of the best plane through the contacts, projected on the face. For a finger
+    that pushes along that normal it is the direction from the centroid. Pyramids with an even
+    number of sides do not depend on the sign of the normal.
 
     Args:
         points: Contact points in the palm frame, shape (k, 3), m.
-        rotations: Contact frames, of which the normals are kept, shape (k, 3, 3).
+        rotations: Contact frames, whose normals are kept, shape (k, 3, 3).
     """
     arms = centered(points)
     _, axes = np.linalg.eigh(arms.T @ arms)
@@ -125,14 +139,13 @@ def grasp_frames(points: Array, rotations: Array) -> Array:
 def followed(
     before: Array, optimum: Array, balance: Array, load: Array, friction: Array, fraction: float
 ) -> tuple[Array, bool]:
-    """Return f* on the way from that of the last tick to an optimum, and whether it could be found.
+    """Return f*, shape (k, 3), between the last one and an optimum, and whether it was found.
 
     Args:
         before: f* of the last tick, shape (k, 3).
         optimum: The optimum at this tick, shape (k, 3).
         balance: G~^T at this tick, shape (3k, 6).
-        load: Forces that do not grow with the grasp force, per unit of internal force, shape (k,
-            3).
+        load: Load in contact frames per unit of internal force, shape (k, 3).
         friction: Usable mu, shape (k,).
         fraction: Minimum fraction of the way, 0 to 1.
     """
@@ -143,7 +156,12 @@ def followed(
 
 @compiled
 def balanced(forces: Array, balance: Array) -> tuple[Array, bool]:
-    """Return the forces nearest to given ones with G~ f = 0 and sum f_n = 1, and whether found."""
+    """Return the nearest forces with G~ f = 0 and sum f_n = 1, and whether they were found.
+
+    Args:
+        forces: In contact frames, shape (k, 3).
+        balance: G~^T, shape (3k, 6).
+    """
     n = forces.size
     rows, excess = np.zeros((7, n)), np.zeros((7, 1))
     rows[:6] = balance.T
@@ -166,7 +184,7 @@ def balanced(forces: Array, balance: Array) -> tuple[Array, bool]:
 
 @compiled
 def _way_into_cones(start: Array, end: Array, load: Array, friction: Array) -> float:
-    """Return the minimum fraction of a way after which it is inside the cones, 1 if it never is."""
+    """Return the minimum fraction of the way at which the cones start, 1 if they do not."""
     fraction = 0.0
     for i in range(len(start)):
         slope = INSIDE * friction[i]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The grasp-force optimization (13): how to distribute 1 N of internal force over k contacts."""
+"""The grasp-force optimization (13): the distribution of 1 N of internal force over k contacts."""
 
 from __future__ import annotations
 
@@ -37,9 +37,9 @@ from tactile_hand_ros.errors import ConfigurationError
 
 Array = NDArray[np.float64]
 
-_RELAXED = 0.75  # fraction of the grasp force with which f* should do, so that it can be lowered
-_MAX_RESIDUAL = 1e-6  # beyond, there is no answer
-_MAX_CONE_RESIDUAL = 1e-4  # beyond, the paper's own f* is the safer answer
+_RELAXED = 0.75  # fraction of the grasp force at which f* must hold, so that k_f can fall
+_MAX_RESIDUAL = 1e-6  # a larger one means no solution
+_MAX_CONE_RESIDUAL = 1e-4  # with a larger one, f* without cones is safer
 
 
 class ForceOptimizerConfig(Config):
@@ -53,15 +53,11 @@ class ForceOptimizerConfig(Config):
         min_length=3,
     )
     minimum_normal: float = param(
-        0.0,
-        "minimum f_n of each contact, as a fraction of the grasp force",
-        live=True,
-        ge=0.0,
-        lt=0.34,
+        0.0, "minimum f_n of each contact, as a fraction of k_f", live=True, ge=0.0, lt=0.34
     )
     solver: Literal["exact", "osqp"] = param(
         "exact",
-        "exact exchanges active bounds and asks OSQP where they do not settle, osqp always asks it",
+        "exact exchanges active bounds and falls back to OSQP, osqp always uses OSQP",
         live=True,
     )
     cones: bool = param(
@@ -69,24 +65,17 @@ class ForceOptimizerConfig(Config):
         "keep internal force and load inside the friction cones that the regulator has learned",
     )
     shape_time: float = param(
-        0.05,
-        "time constant with which f* follows the optimum inside the cones, 0 for immediately",
-        unit="s",
-        live=True,
-        ge=0.0,
-        le=10.0,
+        0.05, "time constant of f* in the cones, 0 for none", unit="s", live=True, ge=0.0, le=10.0
     )
     load_memory: float = param(
-        1.0,
-        "time constant with which f* forgets the loads of the recent past",
-        unit="s",
-        live=True,
-        gt=0.0,
-        le=100.0,
+        1.0, "time constant of the memory of loads", unit="s", live=True, gt=0.0, le=100.0
     )
 
     def weight_vector(self, fingers: int) -> Array:
         """Return the diagonal of W, shape (3 k,).
+
+        Args:
+            fingers: Number of contacts k.
 
         Raises:
             ConfigurationError: If the number of weights does not fit or one is not positive.
@@ -101,7 +90,10 @@ class ForceOptimizerConfig(Config):
         return np.tile(given, fingers) if len(given) == 3 else given
 
     def check_minimum(self, fingers: int) -> None:
-        """Check that the minimum normal forces leave something to distribute.
+        """Check that the minimum normal forces leave a force to distribute.
+
+        Args:
+            fingers: Number of contacts k.
 
         Raises:
             ConfigurationError: If they add up to the grasp force or more.
@@ -125,18 +117,18 @@ class Status(enum.Enum):
 
 
 class OptimalForces(NamedTuple):
-    """The outcome of (13), with the means to judge it.
+    """The outcome of (13), with its residual.
 
     Attributes:
-        status: SOLVED, or why there is no answer.
-        reason: One sentence for people; empty when solved.
+        status: SOLVED, or why there is no solution.
+        reason: The same as a sentence; empty if solved.
         forces: f* on the object in the contact frames C_i, shape (k, 3); zero without a contact,
             NaN unless solved.
         residual: Largest violation of the optimality conditions, with G~ f* = 0 and sum f_n = 1.
-        iterations: Linear systems that were solved, or iterations of OSQP.
-        solve_time: Time that OSQP reports where it was asked, s.
+        iterations: Number of linear systems, or iterations of OSQP.
+        solve_time: Time in OSQP, s; 0 if it was not used.
         cone_margin: Minimum of mu f_n - |f_t| per unit of internal force, with the load and the
-            usable mu; not negative certifies that nothing has to slip; NaN without cones.
+            usable mu; not negative if no contact has to slip; NaN without cones.
         shaped: Whether the cones changed f*.
     """
 
@@ -158,29 +150,35 @@ class OptimalForces(NamedTuple):
 class ForceOptimizer:
     """Solves (13): min f^T W f  s.t.  G~ f = 0,  sum f_n = 1,  f_n >= minimum.
 
-    Torques in G~ are divided by the size of the grasp, which leaves the solution as it is and makes
-    all rows of one magnitude. See `quadratic_program` for how the answer is found and judged.
+    See `quadratic_program` for the method and `scaled_balance` for G~.
 
     Source: Shaw-Cortez et al., equation (13).
     """
 
     def __init__(self, config: ForceOptimizerConfig, fingers: int) -> None:
-        """Set up the problem for k = `fingers` contacts.
+        """Set up the problem.
+
+        Args:
+            config: Weights, limits and solver.
+            fingers: Number of contacts k.
 
         Raises:
             ConfigurationError: If the weights do not fit.
         """
         self._k = fingers
         self._shape: Array | None = None
-        self._past: tuple[int, Array] | None = None  # worst of the recent past at a tick
+        self._past: tuple[int, Array] | None = None  # tick, ns, and the worst recent loads
         self._parts: dict[bytes, ForceOptimizer] = {}  # of the fingers that touch, by their mask
         self.configure(config)
 
     def configure(self, config: ForceOptimizerConfig) -> None:
-        """Take other weights or limits; the problem is set up again.
+        """Change the weights or limits, and set up the problem again.
+
+        Args:
+            config: The new values.
 
         Raises:
-            ConfigurationError: If they do not fit; nothing is changed then.
+            ConfigurationError: If they do not fit; then the old ones stay.
         """
         weights = config.weight_vector(self._k)
         config.check_minimum(self._k)
@@ -189,7 +187,7 @@ class ForceOptimizer:
         self._set_up()
 
     def reset(self) -> None:
-        """Forget the last answer and the loads of the recent past."""
+        """Forget the last solution and the recent loads."""
         self._set_up()
         self._past = None
         self._parts.clear()
@@ -201,21 +199,20 @@ class ForceOptimizer:
         carried: CarriedLoad | None = None,
         grasp_force: float = np.nan,
     ) -> OptimalForces:
-        """Return f* of a tick, inside the friction cones if the configuration says so.
+        """Return f* of a tick, inside the friction cones if they are configured.
 
         Args:
             stamp: The tick, ns.
             contacts: Contact points and frames in the palm frame.
-            carried: Load, usable friction and reserve as the regulator has estimated them; without
-                a load the cones are left out.
+            carried: Load, usable friction and reserve from the regulator; without a load the cones
+                do not apply.
             grasp_force: k_f of the tick, N.
         """
         if contacts.enough_touching and not contacts.all_touching:
             return self._without_the_others(stamp, contacts, carried, grasp_force)
         if not self.config.cones or carried is None:
             return self.solve(contacts)
-        # Planes and memory of the cones in frames that turn with the grasp: what follows from them
-        # must not depend on how the grasp lies in the palm.
+        # The pyramids turn with the grasp, so that f* does not depend on its pose in the palm.
         frames = contacts.rotations
         if contacts.all_touching:
             frames = grasp_frames(contacts.positions, frames)
@@ -228,10 +225,10 @@ class ForceOptimizer:
         return optimal._replace(forces=in_palm(np.swapaxes(turns, 1, 2), optimal.forces, 1.0))
 
     def _cones(self, stamp: int, carried: CarriedLoad, grasp_force: float) -> Cones | None:
-        """Return the cones for a load, per newton of a grasp force, or None without a load.
+        """Return the cones for a load per newton of grasp force, or None without a load.
 
-        f* is made for the worst of the recent past on each side of the pyramids: a shape that
-        follows a swinging load is always too late for it.
+        f* must hold the worst recent load on each side of the pyramids: a shape that follows an
+        oscillating load would always be late.
         """
         load, friction, reserve = carried
         if not (grasp_force > 0.0 and all_finite(load)):
@@ -250,7 +247,7 @@ class ForceOptimizer:
     def _without_the_others(
         self, stamp: int, contacts: Contacts, carried: CarriedLoad | None, grasp_force: float
     ) -> OptimalForces:
-        """Return f* of the fingers that touch, as if the hand had no others; see `step`."""
+        """Return f* of a hand with only the fingers that touch; see `step`."""
         touching = contacts.touching
         part = self._parts.get(touching.tobytes())
         if part is None:
@@ -269,10 +266,10 @@ class ForceOptimizer:
 
         Args:
             contacts: Contact points and frames in the palm frame.
-            cones: Usable friction and load of the contacts; (13) does not look at them by default.
+            cones: Usable friction and load of the contacts; by default (13) has no cones.
 
         Returns:
-            f* in contact frames, or a status that says why there is none.
+            f* in contact frames, or the status without a solution.
         """
         if not contacts.all_touching:
             missing = ", ".join(str(i + 1) for i in np.flatnonzero(~contacts.touching))
@@ -307,7 +304,7 @@ class ForceOptimizer:
     def _inside(
         self, forces: Array, residual: float, balance: Array, cones: Cones
     ) -> tuple[Array, float, bool]:
-        """Keep an answer inside its cones, where it is optimal too, and reshape any other.
+        """Return f* inside the cones; a solution of (13) that lies inside stays.
 
         Returns:
             The optimum, its residual, and whether the cones changed it.
@@ -320,7 +317,7 @@ class ForceOptimizer:
         return shaped, missing, True
 
     def _steadied(self, optimum: Array, balance: Array, cones: Cones) -> Array:
-        """Follow an optimum steadily, see `followed`; the first one is followed immediately."""
+        """Follow an optimum steadily, see `followed`; the first one applies immediately."""
         before, time, forces = self._shape, self.config.shape_time, optimum
         if before is not None and time > 0.0 and cones.elapsed > 0.0:
             fraction = 1.0 - math.exp(-cones.elapsed / time)
@@ -351,8 +348,8 @@ class ForceOptimizer:
             )
         return self._without_answer(
             Status.FAILED,
-            f"OSQP ended with '{best.ending}' after {best.iterations} iterations, and the best "
-            f"residual is {best.residual:.1e}; the last answer is not used",
+            f"OSQP ended with '{best.osqp_status}' after {best.iterations} iterations, and the "
+            f"best residual is {best.residual:.1e}; the last answer is not used",
         )
 
     def _without_answer(self, status: Status, reason: str) -> OptimalForces:
@@ -361,10 +358,10 @@ class ForceOptimizer:
 
 @compiled
 def scaled_balance(points: Array, rotations: Array) -> Array:
-    """Return G~^T for forces in contact frames, torques per size of the grasp, shape (3k, 6).
+    """Return G~^T of (11) for forces in contact frames, shape (3k, 6).
 
-    The torques of the grasp map (11) are divided by the size of the grasp, which leaves G~ f = 0 as
-    it is and makes all rows of one magnitude.
+    Its torques are divided by the size of the grasp, so that all rows have one magnitude. This does
+    not change G~ f = 0.
 
     Args:
         points: Contact points in the palm frame, shape (k, 3), m.

@@ -1,16 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A strictly convex problem with many inequalities, few of them active, solved at every tick.
+"""A strictly convex quadratic program with few active inequalities, solved at every tick.
 
     min x^T W x + q^T x   s.t.  E x = e,  R x <= b
 
-`solve_problem` is the dual method of Goldfarb and Idnani (1983): from an optimum under some
-inequalities, the one that it violates most enters, and those whose multipliers reach zero on the
-way leave. It starts with the inequalities that were active in the last tick, so that it nearly
-always takes one linear system. Under active inequalities the optimality conditions
-2 W x + q + A^T y = 0 and A x = b are one linear system in y, A W^-1 A^T y = -2 b - A W^-1 q. All
-systems are small: their matrices are factorized again, keeping rounding errors from adding up.
+`solve_problem` is the dual method of Goldfarb and Idnani (1983). From an optimum under some
+inequalities, the most violated one enters, and those whose multipliers reach zero leave. It starts
+with the active set of the last tick, so that one linear system is nearly always enough:
+A W^-1 A^T y = -2 b - A W^-1 q, from 2 W x + q + A^T y = 0 and A x = b. Matrices are small and are
+factorized again, so that rounding errors do not add up.
 
-`QuadraticProgram` asks OSQP where that does not settle, and judges every answer by its residual.
+`QuadraticProgram` falls back to OSQP, and accepts a solution by its residual.
 """
 
 from __future__ import annotations
@@ -28,11 +27,11 @@ from tactile_hand_ros.compiled import compiled
 Array = NDArray[np.float64]
 
 
-_ROUNDING = 1e-12  # per largest unknown or multiplier above 1: no reason to exchange an inequality
-_DEPENDENT = 1e-13  # fraction of a row that is left when it depends on the active ones
+_ROUNDING = 1e-12  # of the largest unknown or multiplier above 1; smaller violations are rounding
+_DEPENDENT = 1e-13  # fraction of a row that remains if it depends on the active ones
 _MAX_SYSTEMS = 100
-_GOOD_RESIDUAL = 1e-10  # above it an answer has lost digits
-_TOLERANCE = 1e-6  # of OSQP; polishing goes far below it
+_GOOD_RESIDUAL = 1e-10  # a larger one means lost digits
+_TOLERANCE = 1e-6  # of OSQP before polishing
 _SOLVED = int(osqp.SolverStatus.OSQP_SOLVED)
 _INFEASIBLE = (
     int(osqp.SolverStatus.OSQP_PRIMAL_INFEASIBLE),
@@ -61,14 +60,14 @@ class Problem(NamedTuple):
 
 
 class Solution(NamedTuple):
-    """An answer, with the means to judge it.
+    """A solution with its residual.
 
     Attributes:
         x: The unknowns, shape (n,).
-        residual: See `residual`; infinite without an answer.
-        iterations: Linear systems that were solved, or iterations of OSQP.
-        solve_time: Time that OSQP reports where it was asked, s.
-        ending: How OSQP ended where it did not solve the problem; empty otherwise.
+        residual: See `residual`; infinite without a solution.
+        iterations: Number of linear systems, or iterations of OSQP.
+        solve_time: Time in OSQP, s; 0 if it was not used.
+        osqp_status: Status of OSQP if it did not solve the problem; empty otherwise.
         is_infeasible: Whether OSQP found that no x meets the constraints.
     """
 
@@ -76,33 +75,36 @@ class Solution(NamedTuple):
     residual: float
     iterations: int
     solve_time: float = 0.0
-    ending: str = ""
+    osqp_status: str = ""
     is_infeasible: bool = False
 
 
 class QuadraticProgram:
-    """Solves problems of one shape: exactly, and by OSQP where that fails or always.
+    """Solves problems of one shape: exactly, and by OSQP if that fails or always.
 
     Source: Goldfarb and Idnani, 1983; Stellato et al., OSQP, 2020.
     """
 
     def __init__(self, example: Problem, exact: bool) -> None:
-        """Start without a last answer.
+        """Start without an active set.
 
         Args:
-            example: A problem with weights, price and right sides of all; what is zero in its E
-                and R is zero in all.
-            exact: Whether to ask OSQP only where the exact answer fails.
+            example: A problem with the weights, price and right sides of all; zeros of its E and R
+                are zeros in all.
+            exact: Whether to use OSQP only if the exact method fails.
         """
         self._example, self._exact = example, exact
         self._held = np.zeros(len(example.rows), dtype=np.bool_)
         self._osqp: Any = None
 
     def solve(self, problem: Problem) -> Solution:
-        """Return the best answer found; its residual decides, not how OSQP ends.
+        """Return the solution with the smaller residual, whatever the status of OSQP.
 
-        At its limit of iterations, or where x is so large that it takes the problem for infeasible,
-        OSQP's answer may still be the optimum.
+        OSQP may find the optimum although it reports its limit of iterations, or infeasibility for
+        a large x.
+
+        Args:
+            problem: The problem, of the shape of the example.
         """
         exact = Solution(*_solved(problem, self._held))
         if exact.residual < _GOOD_RESIDUAL and self._exact:
@@ -116,10 +118,10 @@ class QuadraticProgram:
         self._osqp.update(u=np.append(problem.right, problem.bounds), Ax=values)
         found = self._osqp.solve(raise_error=False)
         info, x, y = found.info, np.array(found.x), np.array(found.y)
-        ending = "" if info.status_val == _SOLVED else str(info.status)
-        if ending:
-            self._osqp = None  # where OSQP has ended is a bad start for the next problem
-        how = int(info.iter), float(info.run_time), ending, info.status_val in _INFEASIBLE
+        osqp_status = "" if info.status_val == _SOLVED else str(info.status)
+        if osqp_status:
+            self._osqp = None  # a bad start for the next problem
+        how = int(info.iter), float(info.run_time), osqp_status, info.status_val in _INFEASIBLE
         best = Solution(x, residual(problem, x, y), *how)
         if best.residual < _GOOD_RESIDUAL or best.residual <= exact.residual:
             return best
@@ -149,22 +151,22 @@ class QuadraticProgram:
 
 @compiled
 def _solved(problem: Problem, held: Flags) -> tuple[Array, float, int]:
-    """Return the answer of `solve_problem`, its residual, infinite without one, and its systems."""
+    """Return x of `solve_problem`, its residual (infinite without one) and number of systems."""
     x, multipliers, systems = solve_problem(problem, held)
     return x, residual(problem, x, multipliers) if systems else np.inf, systems
 
 
 @compiled
 def solve_problem(problem: Problem, held: Flags) -> tuple[Array, Array, int]:
-    """Return the optimum, of (13) for example, and how many linear systems it took.
+    """Return the optimum and the number of linear systems.
 
     Args:
         problem: The problem.
-        held: Inequalities to begin with as active, shape (m,); becomes those that are.
+        held: Active inequalities at the start, shape (m,); overwritten with those at the end.
 
     Returns:
-        The unknowns, shape (n,), and the multipliers of equations and inequalities, shape (e + m,),
-        of no use where the number is 0: then there is no answer, or the inequalities do not settle.
+        The unknowns, shape (n,), the multipliers of equations and inequalities, shape (e + m,), and
+        the number of systems, 0 without a solution.
     """
     e, systems = len(problem.equal), 0
     x, multipliers = np.zeros(len(problem.price)), np.zeros(e + len(held))
@@ -174,7 +176,7 @@ def solve_problem(problem: Problem, held: Flags) -> tuple[Array, Array, int]:
         if not _optimum(problem, held, x, multipliers):
             if not held.any():
                 break
-            held[:] = False  # so many leave nothing free; start again without
+            held[:] = False  # too many; start again without any
             continue
         pulling = int(np.argmin(y))
         if y[pulling] < -_ROUNDING * max(1.0, np.abs(y).max()):
@@ -185,7 +187,7 @@ def solve_problem(problem: Problem, held: Flags) -> tuple[Array, Array, int]:
         worst = int(np.argmax(excess))
         if not excess[worst] > _ROUNDING * max(1.0, np.abs(x).max()):
             return x, multipliers, systems
-        taken = _let_in(problem, held, worst, excess[worst], y)
+        taken = _activate(problem, held, worst, excess[worst], y)
         systems += taken
         if not taken:
             break
@@ -195,11 +197,10 @@ def solve_problem(problem: Problem, held: Flags) -> tuple[Array, Array, int]:
 
 @compiled
 def residual(problem: Problem, x: Array, multipliers: Array) -> float:
-    """Return the largest violation of the optimality conditions; the problem is strictly convex.
+    """Return the largest violation of the optimality conditions; infinite if one is not finite.
 
-    Constraints, slope of the Lagrangian per largest weight, and inequalities that push from afar,
-    each relative to the largest unknown where that is above 1, since rounding is. Infinite where a
-    number is not finite.
+    Constraints, slope of the Lagrangian per largest weight, and complementarity, each relative to
+    the largest unknown if that is above 1.
 
     Args:
         problem: The problem.
@@ -226,10 +227,10 @@ def residual(problem: Problem, x: Array, multipliers: Array) -> float:
 
 @compiled
 def _optimum(problem: Problem, held: Flags, x: Array, multipliers: Array) -> bool:
-    """Fill in the optimum under active inequalities; return whether it is determined."""
+    """Write the optimum under active inequalities; return whether it is determined."""
     e = len(problem.equal)
     rows, right = _active(problem, held)
-    found, determined = least_cost(rows, right, problem.weights, problem.price, x)
+    found, determined = minimum_cost(rows, right, problem.weights, problem.price, x)
     multipliers[:] = 0.0
     multipliers[:e] = found[:e]
     multipliers[e:][held] = found[e:]
@@ -238,7 +239,7 @@ def _optimum(problem: Problem, held: Flags, x: Array, multipliers: Array) -> boo
 
 @compiled
 def _active(problem: Problem, held: Flags) -> tuple[Array, Array]:
-    """Return the rows that hold as equations, and their right sides."""
+    """Return the active rows and their right sides."""
     chosen = np.flatnonzero(held)
     e, n = problem.equal.shape
     rows, right = np.empty((e + len(chosen), n)), np.empty(e + len(chosen))
@@ -249,18 +250,11 @@ def _active(problem: Problem, held: Flags) -> tuple[Array, Array]:
 
 
 @compiled
-def _let_in(problem: Problem, held: Flags, entering: int, excess: float, y: Array) -> int:
-    """Make a violated inequality active; return how many systems that took, 0 if it cannot be.
+def _activate(problem: Problem, held: Flags, entering: int, excess: float, y: Array) -> int:
+    """Make a violated inequality active; return the number of systems, 0 if that is impossible.
 
-    Its multiplier grows until it holds. An active one whose multiplier has come to zero before is
-    let go.
-
-    Args:
-        problem: The problem.
-        held: The active inequalities, shape (m,); brought up to date.
-        entering: The violated one.
-        excess: By how much.
-        y: Multipliers, shape (m,), none of them negative but for rounding; brought up to date.
+    Its multiplier grows until it holds. Active ones leave when their multipliers reach zero. Active
+    inequalities and multipliers, both of shape (m,), are updated.
     """
     for systems in range(1, _MAX_SYSTEMS):
         fall, gain = _direction(problem, held, problem.rows[entering])
@@ -281,11 +275,11 @@ def _let_in(problem: Problem, held: Flags, entering: int, excess: float, y: Arra
 
 @compiled
 def _direction(problem: Problem, held: Flags, row: Array) -> tuple[Array, float]:
-    """Return what becomes of the optimum as the multiplier of another row grows by one.
+    """Return the change of the optimum per unit of the multiplier of another row.
 
     Returns:
-        By how much the active inequalities' multipliers fall, shape (m,), and by how much the
-        optimum goes back from beyond the row's bound, 0 where the active rows do not let it move.
+        The fall of the multipliers of the active inequalities, shape (m,), and of the violation of
+        the row, 0 if the active rows determine x.
     """
     rows, _ = _active(problem, held)
     size, e, weights = len(rows), len(problem.equal), problem.weights
@@ -310,17 +304,20 @@ def _direction(problem: Problem, held: Flags, row: Array) -> tuple[Array, float]
 
 
 @compiled
-def least_cost(
+def minimum_cost(
     rows: Array, right: Array, weights: Array, price: Array, x: Array
 ) -> tuple[Array, bool]:
-    """Fill in the optimum; return its multipliers y, and whether both are determined.
+    """Write the optimum under A x = b into x.
 
     Args:
         rows: A, shape (m, n).
         right: b, shape (m,).
         weights: Diagonal of W, shape (n,).
         price: q, shape (n,).
-        x: f, shape (n,).
+        x: Output, shape (n,).
+
+    Returns:
+        The multipliers y, shape (m,), and whether both are determined.
     """
     size, n = rows.shape
     multipliers = np.zeros(size)
@@ -340,7 +337,7 @@ def least_cost(
 def _missing(
     rows: Array, right: Array, weights: Array, price: Array, multipliers: Array, x: Array
 ) -> Array:
-    """Fill in the f that belongs to multipliers; return by how much it misses b, shape (m,)."""
+    """Write the x of given multipliers; return b - A x, shape (m,)."""
     size, n = rows.shape
     for j in range(n):
         total = price[j]
@@ -356,7 +353,12 @@ def _missing(
 
 @compiled
 def schur_complement(rows: Array, weights: Array) -> Array:
-    """Return A W^-1 A^T, of which the upper triangle is filled in."""
+    """Return the upper triangle of A W^-1 A^T, shape (m, m).
+
+    Args:
+        rows: A, shape (m, n).
+        weights: Diagonal of W, shape (n,).
+    """
     size, n = rows.shape
     out = np.zeros((size, size))
     for i in range(size):

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Slip prevention: split of forces, detector, learned friction, need, reflex, regulator."""
+"""Slip prevention: detector, learned friction, required grasp force, reflex, regulator."""

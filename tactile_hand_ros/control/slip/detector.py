@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Whether a contact slips, from the micro-vibration that sliding leaves in its force."""
+"""Slip detection, from the micro-vibration of the force at a sliding contact."""
 
 from __future__ import annotations
 
@@ -17,36 +17,34 @@ Array = NDArray[np.float64]
 
 # Largest gain of the innovation over frequency against its mean, at even times: 2^4 / (1 + 4 + 1)
 _OVERLAP = 16.0 / 6.0
-_COUNTS = 0.25  # fraction of the threshold that one sample counts at most; see `SlipDetector`
-_STAYS = 0.75  # fraction of the threshold down to which a slip continues
-_BOUND = 3.0  # times its noise, for which a sample counts at most while the noise is learned
-_UNBIASED = 1.0 / (1.0 - math.exp(-_BOUND))  # makes up for it: power has two degrees of freedom
-_LATE = 3.0  # ticks by which a command may be late; older ones are rejected
-_SURE = 3.0  # standard deviations from which on a normal force is more than noise
-_COURSE = 0.01  # s, time constant of the rate at which a force changes
-_GAP = 2.5  # times the time between samples; after so long their differences start again
-_SILENCE = 5.0  # times the same; evidence that is so old has expired
-_LONGEST = 0.02  # s that a pause counts for at most: nothing is known of it
-_RATIO = 9.0  # power of the vibration against noise that the test is made for
-_SETTLING = 0.05  # s after touching in which nothing is reported about slip
-_PATIENCE = 0.3  # s; what looks like slip for longer is learned as noise
-_LEARNING = 1.0  # s, time constant with which the noise is learned
+_SAMPLE_LIMIT = 0.25  # largest contribution of a sample, as a fraction of the threshold
+_RELEASE = 0.75  # fraction of the threshold at which a slip stops
+_BOUND = 3.0  # times the noise: largest power of a sample while the noise is learned
+_UNBIASED = 1.0 / (1.0 - math.exp(-_BOUND))  # corrects that bound; power has two degrees of freedom
+_LATE = 3.0  # ticks, largest delay of a command
+_SURE = 3.0  # standard deviations at which a normal force counts as a contact
+_COURSE = 0.01  # s, time constant of the rate of a force
+_GAP = 2.5  # times the sample period; a longer gap restarts the differences
+_SILENCE = 5.0  # times the sample period after which evidence expires
+_LONGEST = 0.02  # s, the longest time that a pause counts
+_RATIO = 9.0  # power of the vibration relative to noise that the test expects
+_SETTLING = 0.05  # s after touching without a report
+_PATIENCE = 0.3  # s; a longer slip is learned as noise
+_LEARNING = 1.0  # s, time constant of the learned noise
 
 
 class SlipDetectorConfig(Config):
     """Parameters of the slip detector."""
 
-    noise: float = param(
-        0.02, "expected noise of a force until it is learned", unit="N", live=True, gt=0.0
-    )
-    least_noise: float = param(
-        0.002, "vibration below this is never taken for slip", unit="N", live=True, gt=0.0
+    noise: float = param(0.02, "noise of a force until it is learned", unit="N", live=True, gt=0.0)
+    minimum_noise: float = param(
+        0.002, "vibration below this is not slip", unit="N", live=True, gt=0.0
     )
     relative_noise: float = param(0.002, "the same, per normal force", live=True, ge=0.0)
     false_alarm_time: float = param(
         3600.0,
-        "minimum mean time between false alarms of a contact that sticks; a longer one finds slip "
-        "later",
+        "minimum mean time between false alarms of a contact that sticks; with a longer time slip "
+        "is detected later",
         unit="s",
         live=True,
         ge=1.0,
@@ -54,7 +52,7 @@ class SlipDetectorConfig(Config):
 
 
 class ContactState(enum.IntEnum):
-    """What is known of a contact; unknown is not the same as no slip."""
+    """State of a contact; UNKNOWN does not mean that it sticks."""
 
     UNKNOWN = 0
     STICK = 1
@@ -82,39 +80,40 @@ _MEMORY = np.dtype(
 
 
 class SlipDetector:
-    """Watches the power of fast force changes at each contact with Page's cumulative sum test.
+    """Applies Page's cumulative sum test to fast force changes at each contact.
 
-    While a contact sticks, a force is predicted by the course of the last two samples. With q the
-    time since the last one per time between the two, the innovation
+    Sticking forces are extrapolated from the last two samples. With q the time since the last one
+    per time between the two, the innovation and its covariance are
 
-        r = f_t - f_(t-1) - q (f_(t-1) - f_(t-2)),    R = (1 + (1 + q)^2 + q^2) v I + j j^T
+        r = f_t - f_(t-1) - q (f_(t-1) - f_(t-2)),    R = (1 + (1 + q)^2 + q^2) v I + j j^T,
 
-    has the covariance R: v is the noise of the skin, which is learned, and j = 3 f' dt the shift of
-    the hand's own course by commands that are late by up to three ticks. The internal force, which
-    the hand changes as it likes, acts along one known direction; r is taken across it. Sliding
-    raises the power of r. The test sums the log-likelihood ratio of the covariance rho R against R,
+    across the direction of the internal force, with the learned noise v of the skin and the jitter
+    j = 3 f' dt of commands that are up to three ticks late. The test sums the log-likelihood ratio
+    of rho R against R,
 
         L = (1 - 1/rho) r^T R^-1 r / 2 - ln rho,
 
-    starts again from zero whenever the sum is negative, and reports slip above h. Of independent
-    innovations the mean number between false alarms is at least exp(h). These share samples: noise
-    that alternates shows in each of them, with 16 / 6 of the mean power. With that factor h follows
-    from the false alarms that a user accepts. A step of the load shows in up to three innovations,
-    sliding in many: none counts for more than h / 4.
-
-    All vectors are in palm axes, so that the result does not depend on how the hand is turned.
+    restarts at zero when the sum is negative, and reports slip above h. Independent innovations
+    have a mean of at least exp(h) samples between false alarms. Noise that alternates
+    has 16 / 6 of the mean power, which scales h. A step of the load changes up to three
+    innovations, so each counts for h / 4 at most. See docs/explanation/slip.md.
 
     Source: Page, Continuous inspection schemes, 1954.
     """
 
     def __init__(self, config: SlipDetectorConfig, contacts: int) -> None:
-        """Watch a number k of contacts, each by itself."""
+        """Start without samples.
+
+        Args:
+            config: Its parameters.
+            contacts: Number of contacts k.
+        """
         self._memory: Rows = np.zeros(contacts, _MEMORY)
         self.configure(config)
         self.reset()
 
     def configure(self, config: SlipDetectorConfig) -> None:
-        """Take other parameters; what is known of the contacts stays."""
+        """Change the parameters; the memory of the contacts stays."""
         self._noise = config.noise
         self._config = row_of(config)
 
@@ -127,7 +126,7 @@ class SlipDetector:
 
     @property
     def state(self) -> NDArray[np.int64]:
-        """What is known of each contact, `ContactState`, shape (k,)."""
+        """`ContactState` of each contact, shape (k,)."""
         return self._memory["state"].copy()
 
     @property
@@ -138,7 +137,7 @@ class SlipDetector:
 
     @property
     def agrees(self) -> NDArray[np.bool_]:
-        """Whether the newest sample of each contact shows slip rather than stick, shape (k,)."""
+        """Whether the newest sample of each contact is evidence for slip, shape (k,)."""
         return self._memory["agrees"].copy()
 
     def step(
@@ -149,14 +148,14 @@ class SlipDetector:
         fresh: NDArray[np.bool_],
         dt: float,
     ) -> NDArray[np.int64]:
-        """Take the forces of a tick and return what is known of the contacts, shape (k,).
+        """Return the `ContactState` of each contact after a tick, shape (k,).
 
         Args:
             forces: Measured forces on the object, palm axes, shape (k, 3), N; NaN: none.
             normals: Contact normals into the object, palm axes, shape (k, 3).
-            internal: Directions in which the internal force acts at the contacts, of any length,
-                palm axes, shape (k, 3); zero: in none.
-            fresh: Whether they are new samples: one that is repeated counts for nothing.
+            internal: Directions of the internal forces, of any length, palm axes, shape (k, 3);
+                zero: none.
+            fresh: Whether the forces are new samples, shape (k,); repeated ones do not count.
             dt: Time since the last tick, s.
         """
         _watch(self._memory, self._config, forces, normals, internal, fresh, dt)
@@ -173,7 +172,7 @@ def _watch(
     fresh: NDArray[np.bool_],
     dt: float,
 ) -> None:
-    """Let each contact of a memory take its force."""
+    """Update the memory of each contact with its force; see `SlipDetector.step`."""
     for i in range(len(memory)):
         m, force = memory[i], forces[i]
         m["since"] += dt
@@ -196,12 +195,12 @@ def _watch(
 
 @compiled
 def _take(m: Row, c: Row, force: Array, normal: float, internal: Array) -> None:
-    """Judge a new sample, and learn from it."""
+    """Test a new sample, and learn the noise from it."""
     r, gain = _innovation(m, force)
     m["agrees"] = False
     if gain == 0.0:
         return
-    minimum = c["least_noise"] ** 2 + (c["relative_noise"] * normal) ** 2
+    minimum = c["minimum_noise"] ** 2 + (c["relative_noise"] * normal) ** 2
     noise = gain * max(m["variance"], minimum)
     bend, course = _across(r, internal), _across(m["rate"], internal)
     speed = math.sqrt(dot(course, course))
@@ -213,20 +212,20 @@ def _take(m: Row, c: Row, force: Array, normal: float, internal: Array) -> None:
     if m["touched_for"] > _SETTLING:
         found = 0.5 * (1.0 - 1.0 / _RATIO) * power / noise - math.log(_RATIO)
         m["agrees"] = found > 0.0
-        most = _COUNTS * m["threshold"]
-        m["evidence"] = min(max(0.0, m["evidence"] + min(found, most)), m["threshold"] + most)
+        limit = _SAMPLE_LIMIT * m["threshold"]
+        m["evidence"] = min(max(0.0, m["evidence"] + min(found, limit)), m["threshold"] + limit)
     if m["state"] != ContactState.SLIP or m["slipped_for"] > _PATIENCE:
         _learn(m, power / (gain * (1.0 + known)))
 
 
 @compiled
 def _innovation(m: Row, force: Array) -> tuple[Array, float]:
-    """Return r, and what it makes of the variance of a sample; 0 where there is no prediction.
+    """Return r, and its variance per variance of a sample; 0 without a prediction.
 
-    It needs three samples, of which the last two, and the two before, are not too far apart.
+    A prediction needs three samples without a gap.
     """
     before, change = m["spacing"], m["change"].copy()
-    since = m["since"] if m["since"] > 0.0 else before  # without a time it came evenly
+    since = m["since"] if m["since"] > 0.0 else before  # no time has passed: assume even samples
     q = since / before if before > 0.0 else 0.0
     now = force - m["last"]
     r = now - q * change
@@ -246,7 +245,7 @@ def _innovation(m: Row, force: Array) -> tuple[Array, float]:
 
 @compiled
 def _decide(m: Row, normal: float, dt: float) -> None:
-    slips = m["evidence"] > m["threshold"] * (_STAYS if m["state"] == ContactState.SLIP else 1.0)
+    slips = m["evidence"] > m["threshold"] * (_RELEASE if m["state"] == ContactState.SLIP else 1.0)
     m["slipped_for"] = m["slipped_for"] + dt if slips else 0.0
     is_known = normal > _SURE * math.sqrt(m["variance"]) and math.isfinite(m["change"][0])
     if m["touched_for"] <= _SETTLING or not is_known:
@@ -257,7 +256,7 @@ def _decide(m: Row, normal: float, dt: float) -> None:
 
 @compiled
 def _learn(m: Row, square: float) -> None:
-    """Follow the noise, quickly after touching; a push counts for no more than its noise."""
+    """Follow the noise, quickly after touching; the power of a sample is bounded."""
     dt = m["spacing"]
     time = max(min(_LEARNING, m["touched_for"]), 10.0 * dt, 1e-9)
     bounded = min(square, _BOUND * m["variance"])

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The friction of the contacts, learned from slips and sticks only."""
+"""The friction coefficients of the contacts, learned from slips and sticks."""
 
 from __future__ import annotations
 
@@ -15,39 +15,35 @@ from tactile_hand_ros.rotations import dot
 
 Array = NDArray[np.float64]
 
-_SAMPLES = 10  # of a slip that count; later the grasp force may long have caught it
-_AFTERSHOCKS = 0.05  # s in which further alarms belong to the same slip
-_EXACT = 0.1  # relative error of a slip's force ratio apart from noise
-_SMALLEST = 1e-3  # force ratio, whose logarithm is finite
-_ALIKE = 0.2  # relative difference of the friction of fingers on one object
-_SURE = 2.0  # standard deviations by which a force ratio must be proven
-_SURPRISE = 3.0  # standard deviations by which a slip differs at most, or the surface has changed
-_SMALLEST_MU, _LARGEST_MU = 0.1, 1.5  # friction is never taken for lower or higher
+_SAMPLES = 10  # of a slip that count; later ones may have stopped already
+_AFTERSHOCKS = 0.05  # s in which another alarm belongs to the same slip
+_EXACT = 0.1  # relative error of a slip's force ratio without noise
+_SMALLEST = 1e-3  # force ratio with a finite logarithm
+_FINGER_SPREAD = 0.2  # relative difference of the friction of fingers on one object
+_SURE = 2.0  # standard deviations by which a force ratio must be certain
+_MAX_DEVIATION = 3.0  # standard deviations; a slip that differs more means a new surface
+_SMALLEST_MU, _LARGEST_MU = 0.1, 1.5  # limits of the estimate
 _SMOOTHING = 0.02  # s, time constant of the forces of a contact that sticks
-_LONGEST = 0.02  # s that a pause counts for at most: nothing is known of it
+_LONGEST = 0.02  # s, the longest time that a pause counts
 
 
 class FrictionConfig(Config):
     """Parameters of the friction estimate."""
 
-    prior: float = param(0.4, "friction assumed before anything is known", live=True, gt=0.0)
+    prior: float = param(0.4, "friction assumed before any slip or stick", live=True, gt=0.0)
     spread: float = param(
-        0.5, "standard deviation of its logarithm over the objects of a day", live=True, gt=0.0
+        0.5, "standard deviation of ln mu over everyday objects", live=True, gt=0.0
     )
     explore: float = param(
         0.05,
-        "growth of a friction as uncertain as the prior, of a surer one in proportion to its "
+        "growth rate of an estimate as uncertain as the prior; others grow in proportion to their "
         "variance, up to one deviation above the prior, so that a firm grasp relaxes",
         unit="1/s",
         live=True,
         ge=0.0,
     )
     forget: float = param(
-        300.0,
-        "time in which what a slip has shown becomes as uncertain as the prior",
-        unit="s",
-        live=True,
-        gt=0.0,
+        300.0, "time until an estimate is as uncertain as the prior", unit="s", live=True, gt=0.0
     )
 
 
@@ -55,7 +51,7 @@ _MEMORY = np.dtype(
     [
         ("mean", np.float64),  # of ln mu
         ("variance", np.float64),
-        ("prior", np.float64, 2),  # mean and variance when the present slip began
+        ("prior", np.float64, 2),  # mean and variance at the start of the present slip
         ("quiet_for", np.float64),  # since any contact slipped; the same for all
         ("slid", np.bool_),  # whether this contact slipped then
         ("samples", np.int64),  # of its slip
@@ -70,32 +66,35 @@ _MEMORY = np.dtype(
 
 
 class FrictionEstimator:
-    """Keeps a Gaussian of ln mu for each contact.
+    """Estimates a Gaussian of ln mu for each contact.
 
-    - Before anything is known it is the prior. What slips have shown is forgotten as the variance
-      grows back to that of the prior.
-    - The mean explores: it grows in proportion to the variance, up to one standard deviation above
-      the prior. A firm grasp relaxes, also after a false alarm, in the minutes in which what that
-      has shown becomes uncertain.
-    - A contact that slips measures ln(|f_t| / f_n) from its own samples since the detector's sum
-      left zero, which is Page's estimate of when it began. The error follows from their scatter.
-    - The others on the same object take the same measurement with the variance of how alike
-      fingers are. All measurements of a slip are one product of Gaussians, whatever their order.
-    - A contact that sticks at a force ratio has a mu above it, which bounds its mean from below.
+    - It starts as the prior. Its variance grows back to that of the prior.
+    - The mean grows in proportion to the variance, up to one standard deviation above the prior, so
+      that a firm grasp relaxes, including after a false alarm.
+    - A contact that slips measures ln(|f_t| / f_n) from its samples since the detector's sum left
+      zero, Page's estimate of the start. The error follows from their scatter.
+    - Other contacts use the same measurement, with the variance between fingers. The measurements
+      of a slip are multiplied, in any order.
+    - A contact that sticks has a mu above its force ratio, which bounds its mean from below.
     """
 
     def __init__(self, config: FrictionConfig, contacts: int) -> None:
-        """Start from the prior for a number k of contacts."""
+        """Start from the prior.
+
+        Args:
+            config: Its parameters.
+            contacts: Number of contacts k.
+        """
         self._memory: Rows = np.zeros(contacts, _MEMORY)
         self.configure(config)
         self.reset()
 
     def configure(self, config: FrictionConfig) -> None:
-        """Take other parameters; what was learned stays."""
+        """Change the parameters; the estimates stay."""
         self._config, self._row = config, row_of(config)
 
     def reset(self) -> None:
-        """Forget what was learned."""
+        """Go back to the prior."""
         self._memory[:] = np.zeros((), _MEMORY)
         self._memory["mean"] = math.log(self._config.prior)
         self._memory["variance"] = self._config.spread**2
@@ -104,11 +103,11 @@ class FrictionEstimator:
 
     @property
     def memory(self) -> Rows:
-        """All that is known of the contacts, for `restore`."""
+        """Copy of the state, for `restore`."""
         return self._memory.copy()
 
     def restore(self, memory: Rows) -> None:
-        """Go back to a `memory` from before."""
+        """Go back to an earlier `memory`."""
         self._memory[:] = memory
 
     @property
@@ -136,15 +135,15 @@ class FrictionEstimator:
         Args:
             forces: Measured forces on the object, palm axes, shape (k, 3), N; NaN: none.
             normals: Contact normals into the object, palm axes, shape (k, 3).
-            state: What the detector reports of the contacts, `ContactState`, shape (k,).
+            state: `ContactState` from the detector, shape (k,).
             suspected: Whether it has evidence for slip, shape (k,).
-            agrees: Whether the newest samples show slip; one of a contact that the grasp force has
-                caught shows nothing of friction; shape (k,).
+            agrees: Whether the newest samples show slip, shape (k,); other samples do not measure
+                friction.
             fresh: Whether the forces are new samples, shape (k,).
             dt: Time since the last tick, s.
         """
-        told = state, suspected, agrees, fresh
-        _learn(self._memory, self._row, forces, normals, *told, dt)
+        detected = state, suspected, agrees, fresh
+        _learn(self._memory, self._row, forces, normals, *detected, dt)
         return self.estimate
 
 
@@ -160,7 +159,7 @@ def _learn(
     fresh: NDArray[np.bool_],
     dt: float,
 ) -> None:
-    """Let the contacts of a memory learn from their forces."""
+    """Update the estimates; see `FrictionEstimator.step`."""
     c, slips, was_quiet = config[0], False, memory[0]["quiet_for"] > _AFTERSHOCKS
     for i in range(len(memory)):
         m = memory[i]
@@ -173,7 +172,7 @@ def _learn(
         elif fresh[i]:
             normal = dot(forces[i], normals[i])
             if agrees[i] and m["samples"] < _SAMPLES:
-                _read(m, forces[i], normal)
+                _add_sample(m, forces[i], normal)
             if state[i] == ContactState.STICK:
                 _bound(m, forces[i], normals[i])
             else:
@@ -185,19 +184,19 @@ def _learn(
             m["prior"][0], m["prior"][1] = m["mean"], m["variance"]
         m["slid"] = state[i] == ContactState.SLIP or (m["slid"] and not was_quiet)
         m["quiet_for"] = 0.0 if slips else m["quiet_for"] + dt
-        most = c["spread"] ** 2
+        largest = c["spread"] ** 2
         if state[i] == ContactState.STICK:
-            step = c["explore"] * m["variance"] / most * min(dt, _LONGEST)
+            step = c["explore"] * m["variance"] / largest * min(dt, _LONGEST)
             explored = min(m["mean"] + step, math.log(c["prior"]) + c["spread"])
             m["mean"] = max(m["mean"], explored)
-        m["variance"] = min(m["variance"] + most * dt / c["forget"], most)
+        m["variance"] = min(m["variance"] + largest * dt / c["forget"], largest)
     if slips:
-        _share(memory)
+        _combine(memory)
 
 
 @compiled
-def _read(m: Row, force: Array, normal: float) -> None:
-    """Add a sample of a contact that slides, or may."""
+def _add_sample(m: Row, force: Array, normal: float) -> None:
+    """Add a sample of a contact that may slide."""
     if m["samples"] == 0:
         m["sum"][:] = 0.0
     tangential = math.sqrt(max(0.0, dot(force, force) - normal * normal))
@@ -217,32 +216,32 @@ def _measured(m: Row) -> tuple[float, float]:
     if not m["slid"] or n < 2 or normal <= 0.0:
         return 0.0, math.inf
     ratio = max(tangential / normal, _SMALLEST)
-    # Of a force that grows along its cone only the distance from it is error.
+    # For a force that moves along its cone only the distance to the cone is error.
     squares = max(0.0, tangentials - 2.0 * ratio * products + ratio * ratio * normals)
     return math.log(ratio), _EXACT**2 + squares / ((n - 1) * n) * (n / (ratio * normal)) ** 2
 
 
 @compiled
-def _share(memory: Rows) -> None:
-    """Multiply what was known before a slip by all that the slip has shown."""
+def _combine(memory: Rows) -> None:
+    """Multiply the Gaussians before a slip by its measurements."""
     for i in range(len(memory)):
         m = memory[i]
         before, variance = m["prior"][0], m["prior"][1]
         weight, total = 0.0, 0.0
         for j in range(len(memory)):
             ratio, error = _measured(memory[j])
-            error += 0.0 if j == i else _ALIKE**2
+            error += 0.0 if j == i else _FINGER_SPREAD**2
             if error < math.inf:
                 weight += 1.0 / error
                 total += ratio / error
-                variance = max(variance, ((ratio - before) / _SURPRISE) ** 2 - error)
+                variance = max(variance, ((ratio - before) / _MAX_DEVIATION) ** 2 - error)
         weight, total = weight + 1.0 / variance, total + before / variance
         m["mean"], m["variance"] = total / weight, 1.0 / weight
 
 
 @compiled
 def _bound(m: Row, force: Array, n: Array) -> None:
-    """Raise the mean to a force ratio that this contact has surely been sticking at."""
+    """Raise the mean to a force ratio at which this contact certainly sticks."""
     mean = m["force"]
     if math.isnan(mean[0]):
         mean[:] = force
@@ -253,7 +252,7 @@ def _bound(m: Row, force: Array, n: Array) -> None:
     mean[:] += fraction * off
     m["scatter"] += fraction * (dot(off, off) / 3.0 - m["scatter"])
     m["touched_for"] += m["since"]
-    if m["touched_for"] < 3.0 * _SMOOTHING:  # too early for the scatter to be known
+    if m["touched_for"] < 3.0 * _SMOOTHING:  # too early for the scatter
         return
     normal, doubt = dot(mean, n), _SURE * math.sqrt(m["scatter"] * fraction)
     tangential = math.sqrt(max(0.0, dot(mean, mean) - normal * normal)) - doubt

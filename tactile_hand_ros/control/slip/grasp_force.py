@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The grasp force that an object needs, and how it rises when a contact slips or is lost."""
+"""The required grasp force of an object, and the reflex when a contact slips or is lost."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from tactile_hand_ros.rotations import dot
 Array = NDArray[np.float64]
 
 _LOAD_TIME = 0.005  # s, time constant of the measured load: a few samples of a fast skin
-_LEAD = 0.01  # s that a changing load is foreseen: about what skin, tick and fingers need
-_SHAPE_TIME = 0.03  # s, time constant of f* as measured; only the hand itself changes it
-_MEMORY_TIME = 5.0  # s, time constant with which recent loads are forgotten
-_RESERVE_TIME = 0.05  # s over which the reserve of a new grasp rises; f* takes its shape meanwhile
+_LEAD = 0.01  # s of extrapolation of a load: about the delay of skin, tick and fingers
+_SHAPE_TIME = 0.03  # s, time constant of the measured f*, which only the hand changes
+_MEMORY_TIME = 5.0  # s, time constant of the memory of loads
+_RESERVE_TIME = 0.05  # s in which the reserve of a new grasp rises, while f* takes its shape
 
 _MEMORY = np.dtype(
     [
@@ -27,37 +27,38 @@ _MEMORY = np.dtype(
         ("trend", np.float64, 3),  # its rate
         ("internal", np.float64, 3),  # smoothed internal force, palm axes
         ("largest", np.float64),  # load of the recent past, N
-        ("held_for", np.float64),  # since this contact has been part of the grasp, s
+        ("held_for", np.float64),  # time of this contact in the grasp, s
     ]
 )
 
 
 class RequiredGraspForce:
-    """Follows load and f* in palm axes, and computes the minimum grasp force that holds.
+    """Computes the minimum grasp force that holds, from the load and the measured f*.
 
-    The load may change at any time and is followed fast. The shape is f*, which the hand itself
-    changes slowly: a finger that presses with a few tenths of a newton shows it only through noise,
-    and the need of a shape near the edge of its cone grows without bound. It is the smoothed
-    internal force per unit of itself, so that a sample counts for as much as it shows.
-
-    What may come on top is in proportion to the weight of a finger and to the loads of the recent
-    past. What a new grasp needs apart from that reserve is known from the first sample on, and
-    asked for immediately. The reserve of a contact rises while f* takes the shape that is made for
-    it and the shape is measured.
+    The load may change at any time, so its filter is fast. The filter of the shape f* is slow: only
+    the hand changes f*, and noise in a shape near the edge of its cone would raise the result
+    without bound. The reserve is in proportion to the weight of a finger and to recent loads. At a
+    new contact it rises while f* adapts; the rest applies from the first sample.
 
     Attributes:
-        reserve: Load in any direction that may come on top at each contact, shape (k,), N.
+        reserve: Additional load in any direction for each contact, shape (k,), N.
     """
 
     def __init__(self, config: ReserveConfig, contacts: int, finger_weight: float) -> None:
-        """Start without a grasp of k contacts by fingers with a weight in N."""
+        """Start without a grasp.
+
+        Args:
+            config: The reserve.
+            contacts: Number of contacts k.
+            finger_weight: Weight of a finger, N.
+        """
         self._memory: Rows = np.zeros(contacts, _MEMORY)
         self._weight = finger_weight
         self.configure(config)
         self.reset()
 
     def configure(self, config: ReserveConfig) -> None:
-        """Take another reserve; load and shape stay."""
+        """Change the reserve; load and shape stay."""
         self._config = config
 
     def reset(self) -> None:
@@ -67,7 +68,7 @@ class RequiredGraspForce:
         self.lose()
 
     def lose(self) -> None:
-        """Forget load and shape; what the recent past has shown stays."""
+        """Forget load and shape; the largest recent load stays."""
         self._memory["load"] = np.nan
 
     @property
@@ -77,7 +78,7 @@ class RequiredGraspForce:
 
     @property
     def load(self) -> Array:
-        """The load that the contacts carry, smoothed, palm axes, shape (k, 3), N; NaN: unknown."""
+        """The load of the contacts, smoothed, palm axes, shape (k, 3), N; NaN: unknown."""
         return self._memory["load"].copy()
 
     def step(
@@ -90,20 +91,20 @@ class RequiredGraspForce:
         *,
         grasped: bool = True,
     ) -> tuple[float, float]:
-        """Return the minimum k_f that keeps each contact inside its cone, and with a reserve, N.
+        """Return the minimum k_f that keeps each contact inside its cone, without and with reserve.
 
         Args:
             parts: Measured forces as load and internal force.
             normals: Contact normals into the object, palm axes, shape (k, 3); NaN: not grasped.
-            friction: mu of each contact as learned, shape (k,); for the reserve.
-            usable: The same less its margin, shape (k,); for the loads that are measured, since
-                a smaller mu and a sudden load rarely come together.
+            friction: Learned mu of each contact, shape (k,); for the reserve.
+            usable: The same less its margin, shape (k,); for measured loads. A low mu and a sudden
+                load rarely coincide.
             dt: Time since the last tick, s.
-            grasped: Whether the contacts are there; else only the load is followed.
+            grasped: Whether the grasp is complete; otherwise only the load is updated.
 
         Returns:
-            The first is infinite when no grasp force of the present shape can hold. The second is
-            the first for a contact that no grasp force of this shape gives the reserve.
+            Both in N. The first is infinite if no grasp force of this shape holds. The second
+            leaves out contacts for which no grasp force of this shape gives the reserve.
         """
         memory, size = self._memory, np.sqrt((parts.load * parts.load).sum(axis=1))
         missed, misses = np.isnan(memory["load"][:, 0]), np.isnan(normals[:, 0])
@@ -120,14 +121,14 @@ class RequiredGraspForce:
 
     def _reserve(self) -> Array:
         c, largest = self._config, self._memory["largest"]
-        return np.maximum(c.floor * self._weight / len(largest), c.share * largest)
+        return np.maximum(c.floor * self._weight / len(largest), c.fraction * largest)
 
 
 @compiled
 def _follow(
     memory: Rows, normals: Array, loads: Array, internal: Array, dt: float, grasped: bool
 ) -> None:
-    """Smooth load, trend and, where all are there, internal force of each contact."""
+    """Smooth load, trend and, for a complete grasp, internal force of each contact."""
     fraction = -math.expm1(-dt / _LOAD_TIME)
     slow = -math.expm1(-dt / _SHAPE_TIME) if grasped else 0.0
     for i in range(len(memory)):
@@ -148,7 +149,7 @@ def _follow(
 def _needed(
     memory: Rows, normals: Array, friction: Array, usable: Array, radii: Array, dt: float
 ) -> tuple[float, float]:
-    """Return what the neediest contact of a memory needs, and with a reserve, N."""
+    """Return the largest need of any contact, without and with reserve, N."""
     needed, ready, total = 0.0, 0.0, 0.0
     for i in range(len(memory)):
         if not math.isnan(memory[i]["load"][0]):
@@ -168,53 +169,54 @@ def _needed(
     return needed, ready
 
 
-_LONGEST = 0.02  # s that a pause counts for at most: nothing is known of it
+_LONGEST = 0.02  # s, the longest time that a pause counts
 _DOUBLING = 0.01  # s in which the grasp force doubles while something slips
-_CALM = 0.05  # s without slip after which the next is a new one, met from the present grasp force
+_CALM = 0.05  # s without slip, after which the next one starts from the present grasp force
 
 
 class SlipResponseConfig(Config):
-    """Parameters of the reflex that keeps an object from slipping."""
+    """Parameters of the reflex against slip."""
 
     margin: float = param(
-        0.15, "fraction by which the grasp force exceeds what the friction needs", live=True, ge=0.0
+        0.15, "margin below the learned friction, as a fraction", live=True, ge=0.0
     )
-    rise_rate: float = param(
-        4000.0, "fastest rise of the grasp force", unit="N/s", live=True, gt=0.0
-    )
+    rise_rate: float = param(4000.0, "fastest rise of grasp force", unit="N/s", live=True, gt=0.0)
     first_rise: float = param(
-        2.0,
-        "factor by which the grasp force rises when a slip begins or a contact is lost",
-        live=True,
-        ge=1.0,
+        2.0, "factor of the grasp force when a slip starts or a contact is lost", live=True, ge=1.0
     )
     release_rate: float = param(
-        1.0, "minimum fall of the grasp force towards what is needed", unit="N/s", live=True, gt=0.0
+        1.0, "minimum fall of the grasp force to the required one", unit="N/s", live=True, gt=0.0
     )
-    release_time: float = param(
-        0.5, "time constant with which a large excess falls", unit="s", live=True, gt=0.0
-    )
+    release_time: float = param(0.5, "time constant of a large excess", unit="s", live=True, gt=0.0)
 
 
 class SlipResponse:
-    """Follows the need, and goes beyond it while the need cannot be known.
+    """Follows the required grasp force, and exceeds it while that is unknown.
 
-    A contact that slides shows only what friction transmits, and a grasp that has lost a contact
-    shows a part of its load: both show that the grasp force is too small, not by how much. The
-    grasp force then doubles immediately, and again in every 10 ms in which the skin continues
-    showing slip.
+    A sliding contact transmits only its friction limit, and a grasp that has lost a contact shows
+    only a part of its load. The force is too low by an unknown amount, so it doubles immediately,
+    and again in every 10 ms of slip.
 
     Attributes:
-        grasp_force: The k_f that it asks for, N.
+        grasp_force: The requested k_f, N.
     """
 
     def __init__(self, config: SlipResponseConfig, grasp_force: float) -> None:
-        """Start at a grasp force in N."""
+        """Start at a grasp force.
+
+        Args:
+            config: Its parameters.
+            grasp_force: k_f, N.
+        """
         self.config = config
         self.start(grasp_force)
 
     def start(self, grasp_force: float) -> None:
-        """Continue from a grasp force in N, without a grasp that could be lost."""
+        """Continue without a grasp.
+
+        Args:
+            grasp_force: k_f to continue from, N.
+        """
         self.grasp_force = self._settled = grasp_force
         self._calm_for = self._grown = 0.0
         self._whole = False
@@ -231,10 +233,10 @@ class SlipResponse:
         """Return the grasp force after a tick, N.
 
         Args:
-            needed: Grasp force that load and friction ask for, N; not finite while unknown.
-            slips: Whether a slip continues.
-            slides: Whether the newest samples show it too.
-            touching: Which contacts touch, or are not needed, shape (k,).
+            needed: Required grasp force, N; not finite while unknown.
+            slips: Whether a contact slips.
+            slides: Whether its newest samples are evidence for slip, too.
+            touching: Which contacts touch or are not part of the grasp, shape (k,).
             limit: Largest grasp force, N.
             dt: Time since the last tick, s.
         """
@@ -243,19 +245,19 @@ class SlipResponse:
         whole, some = all(touches), any(touches)
         goal = needed if math.isfinite(needed) else self.grasp_force
         if not whole:
-            goal = max(goal, self.grasp_force)  # what is left shows the need only in part
-        goal = max(goal, self._startled(slips, slides, whole, some, limit, dt))
-        if not some:  # nothing is left that a grasp force could hold
+            goal = max(goal, self.grasp_force)  # the rest shows only a part of the need
+        goal = max(goal, self._reflex(slips, slides, whole, some, limit, dt))
+        if not some:  # the object is gone
             goal = self._settled
         falls = max(c.release_rate, (self.grasp_force - goal) / c.release_time)
         low, high = self.grasp_force - falls * dt, self.grasp_force + c.rise_rate * dt
         self.grasp_force = min(max(goal, low), high, limit)
         return self.grasp_force
 
-    def _startled(
+    def _reflex(
         self, slips: bool, slides: bool, whole: bool, some: bool, limit: float, dt: float
     ) -> float:
-        """Return the grasp force that a slip or a lost contact asks for, N; 0 without either."""
+        """Return the grasp force after a slip or a lost contact, N; 0 without either."""
         lost = self._whole and not whole
         self._whole = whole or (lost and some)
         if not slips and not lost:

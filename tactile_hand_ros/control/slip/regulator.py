@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The grasp force k_f: what the user asks for, what the touched object needs, or both."""
+"""The grasp force k_f: requested by the user, required by the object, or both."""
 
 from __future__ import annotations
 
@@ -28,10 +28,10 @@ from tactile_hand_ros.hand.urdf import finger_weight
 Array = NDArray[np.float64]
 
 
-_AGE = 20_000_000  # ns; what is gone back to is at least so old, and at most twice
-_LANDING = 0.05  # s, time constant with which the grasp force lands on the user's goal
-_RESERVED = 0.8  # fraction of the limit up to which a reserve is kept; the rest is for real loads
-_CLEAR_MARGIN = 1e-2  # collinearity margin from which on forces show a load
+_AGE = 20_000_000  # ns; a restored estimate is at least this old, and at most twice
+_LANDING = 0.05  # s, time constant of the approach to the user's grasp force
+_RESERVED = 0.8  # fraction of the limit for the reserve; the rest is for measured loads
+_CLEAR_MARGIN = 1e-2  # collinearity margin above which forces give the load
 
 
 class SlipRegulatorConfig(Config):
@@ -40,18 +40,14 @@ class SlipRegulatorConfig(Config):
     hand: str = param("paper", "hand by name or YAML file")
     mode: Literal["user", "shared", "auto"] = param(
         "user",
-        "user: the requested grasp force, auto: what the object needs, shared: the larger of both",
+        "user: requested grasp force, auto: the one that the object requires, shared: the larger",
         live=True,
     )
-    grasp_force: float = param(
-        10.0, "grasp force k_f until the user asks for another", unit="N", gt=0.0
-    )
+    grasp_force: float = param(10.0, "grasp force k_f before a user request", unit="N", gt=0.0)
     minimum: float = param(0.5, "minimum grasp force", unit="N", live=True, ge=0.0)
-    maximum: float = param(
-        40.0, "largest grasp force, the crush limit", unit="N", live=True, gt=0.0
-    )
-    rise_rate: float = param(50.0, "fastest rise the user may cause", unit="N/s", live=True, gt=0.0)
-    fall_rate: float = param(20.0, "fastest fall the user may cause", unit="N/s", live=True, gt=0.0)
+    maximum: float = param(40.0, "maximum grasp force, crush limit", unit="N", live=True, gt=0.0)
+    rise_rate: float = param(50.0, "fastest rise by the user", unit="N/s", live=True, gt=0.0)
+    fall_rate: float = param(20.0, "fastest fall by the user", unit="N/s", live=True, gt=0.0)
     detector: SlipDetectorConfig = SlipDetectorConfig()
     friction: FrictionConfig = FrictionConfig()
     reserve: ReserveConfig = ReserveConfig()
@@ -70,45 +66,45 @@ class SlipRegulatorConfig(Config):
 class SlipRegulator:
     """Chooses k_f at every tick, from touch alone.
 
-    The user's grasp force moves at the rise or fall rate and lands exponentially. The grasp force
-    that the object needs follows from the measured forces, split into load and internal force, and
-    the friction that slips and sticks have shown: the minimum that keeps every contact inside its
-    cone, with a margin. It rises immediately, falls slowly, and rises to the limit while something
-    slips. A contact that parts carries nothing where it was last, so that the load that has torn it
-    off counts.
+    The user's grasp force moves at the rise or fall rate. The required one is the minimum that
+    keeps every contact inside its cone, with a margin, from the load in the measured forces and the
+    learned friction. It rises immediately, falls slowly, and rises to the limit during a slip. A
+    lost contact counts as one without force, so that the load that has removed it counts.
 
-    Touch that is rejected is ignored. What it has taught shortly before is forgotten, and
-    afterwards the need follows from the load that is measured then.
+    Rejected touch is ignored, and friction learned shortly before is forgotten.
 
     Attributes:
         grasp_force: k_f, N.
-        goal: Grasp force that the user asked for last, N; used inside the limits in force.
-        needed: Grasp force that friction and load ask for, N; infinite when no grasp force of the
-            present shape can hold, NaN while unknown.
-        ready: The same with a reserve for loads that may come, N.
-        carried: Load, usable friction and reserve that both follow from, for f*.
-        state: `ContactState` of each contact, shape (k,).
-        learned_friction: mu of each contact as slips and sticks have shown it, shape (k,).
+        goal: Grasp force that the user requested last, N; applied inside the limits.
+        needed: Required grasp force, N; infinite if no grasp force of this shape holds, NaN while
+            unknown.
+        ready: The same with a reserve for further loads, N.
+        carried: Load, usable friction and reserve behind both, for f*.
     """
 
     def __init__(self, config: SlipRegulatorConfig, fingers: int) -> None:
-        """Start at the configured grasp force for a hand with k fingers."""
+        """Start at the configured grasp force.
+
+        Args:
+            config: Its parameters.
+            fingers: Number of fingers k.
+        """
         self.config, self._fingers = config, fingers
         self._detector = SlipDetector(config.detector, fingers)
         self._estimator = FrictionEstimator(config.friction, fingers)
         weight = finger_weight(load_hand_config(config.hand))
         self._required = RequiredGraspForce(config.reserve, fingers, weight)
         self._response = SlipResponse(config.reflex, config.grasp_force)
-        self._doubted = False
+        self._rejected = False
         self.reset()
 
     def configure(self, config: SlipRegulatorConfig) -> None:
-        """Take other limits, rates and mode; the grasp force moves on from where it is."""
+        """Change limits, rates and mode; the grasp force continues from its value."""
         if config.mode != self.config.mode:
             self._asked = self.grasp_force
             self._response.start(self.grasp_force)
             self._required.reset()
-        # What a limit has cut off would come back as a jump when the limit is lifted.
+        # Otherwise a raised limit would make the grasp force jump.
         self._asked = min(max(self._asked, config.minimum), config.maximum)
         self.config, self._response.config = config, config.reflex
         self._detector.configure(config.detector)
@@ -116,14 +112,14 @@ class SlipRegulator:
         self._required.configure(config.reserve)
 
     def reset(self) -> None:
-        """Go back to the configured grasp force and forget what was learned."""
+        """Go back to the configured grasp force and the prior friction."""
         start = self.config.grasp_force
         self.grasp_force: float = start
         self._asked = self.goal = start
         self._response.start(start)
         self.needed = self.ready = math.nan
         self._last_stamp: int | None = None
-        self._has_felt = False  # a grasp, since the reset
+        self._has_grasped = False  # since the reset
         self._required.reset()
         self._grasp: Contacts | None = None  # the last with all contacts
         self._last = np.full((self._fingers, 3), np.nan)
@@ -132,14 +128,18 @@ class SlipRegulator:
         self._estimator.reset()
         self.carried = self._carried(np.full((self._fingers, 3, 3), np.nan))
 
-    def reject_touch(self, doubted: bool) -> None:
-        """Take whether touch is doubted, see `Controller.touch_rejected`, from the next tick on."""
-        if doubted and not self._doubted:
+    def reject_touch(self, rejected: bool) -> None:
+        """Ignore touch from the next tick on, or use it again; see `Controller.touch_rejected`.
+
+        Args:
+            rejected: Whether to ignore it.
+        """
+        if rejected and not self._rejected:
             if self._kept:
                 self._estimator.restore(self._kept[0][1])
             self._response.start(self._response.grasp_force)
             self._required.reset()
-        self._doubted = doubted
+        self._rejected = rejected
 
     @property
     def state(self) -> NDArray[np.int64]:
@@ -153,11 +153,14 @@ class SlipRegulator:
 
     @property
     def learned_friction(self) -> Array:
-        """Friction of each contact as slips and sticks have shown it, shape (k,)."""
+        """Learned mu of each contact, shape (k,)."""
         return self._estimator.estimate
 
     def request(self, grasp_force: float) -> None:
-        """Take the grasp force that the user asks for, in N.
+        """Request a grasp force for the user.
+
+        Args:
+            grasp_force: k_f, N.
 
         Raises:
             MessageError: If it is outside the limits or not a number.
@@ -173,11 +176,11 @@ class SlipRegulator:
     def step(
         self, stamp: int, contacts: Contacts | None = None, forces: Array | None = None
     ) -> float:
-        """Return k_f in N at a tick; a tick that was seen before changes nothing.
+        """Return k_f at a tick, N; the same tick again has no effect.
 
         Args:
             stamp: The tick, ns.
-            contacts: Contacts by touch; without them nothing is known of the object's need.
+            contacts: Contacts by touch; without them the required grasp force is unknown.
             forces: Measured forces in contact frames, shape (k, 3), N.
         """
         dt = 0.0 if self._last_stamp is None else max(0.0, 1e-9 * (stamp - self._last_stamp))
@@ -186,7 +189,7 @@ class SlipRegulator:
         self._last_stamp = stamp
         self._follow_user(dt)
         if contacts is not None and forces is not None:
-            self._feel(stamp, contacts, forces, dt)
+            self._follow_touch(stamp, contacts, forces, dt)
         c = self.config
         goal = self._asked
         if c.mode != "user":
@@ -202,16 +205,16 @@ class SlipRegulator:
         arrives = abs(rate * dt) >= abs(goal - self._asked)
         self._asked = goal if arrives else self._asked + rate * dt
 
-    def _feel(self, stamp: int, contacts: Contacts, measured: Array, dt: float) -> None:
+    def _follow_touch(self, stamp: int, contacts: Contacts, measured: Array, dt: float) -> None:
         """Update slip, friction and the needed grasp force from touch."""
         touching, normals = contacts.touching, contacts.normals
         if not touching.any():
-            self._estimator.reset()  # what is grasped next may be another object
-        # A sensor that is slower than the loop repeats its sample, which adds nothing.
+            self._estimator.reset()  # the next object may be another one
+        # A sensor that is slower than the loop repeats its samples.
         fresh, self._last = (measured != self._last).any(axis=1), measured.copy()
         forces = in_palm(contacts.rotations, measured, 1.0)
-        forces[~touching | self._doubted] = np.nan
-        if not self._doubted:
+        forces[~touching | self._rejected] = np.nan
+        if not self._rejected:
             self._keep(stamp)
         parts, at = self._split(contacts, forces)
         grasped = contacts.enough_touching
@@ -231,18 +234,18 @@ class SlipRegulator:
             self._take_over(parts.grasp_force)
         limit = self.config.maximum
         goal = max(self.needed, min(self.ready, _RESERVED * limit))
-        known = touching | (grasped and parts is not None)  # the need of the others, without it
+        known = touching | (grasped and parts is not None)  # the others hold without it
         self._response.step(goal, slips, slides, known, limit, dt)
 
     def _split(self, contacts: Contacts, forces: Array) -> tuple[Split | None, Array]:
-        """Split the forces of a grasp, and return its normals too, shape (k, 3), NaN: not grasped.
+        """Return the split of a grasp's forces and its normals, shape (k, 3), NaN: not grasped.
 
-        Three contacts are a grasp, whatever others the hand has (A7). Of fewer, one that has parted
-        carries nothing, where it was last. The others show the load by what is not of the shape of
-        their internal force, which nothing balances now.
+        Three contacts are a grasp (A7). With fewer, a lost contact counts at its last place without
+        force. The load is then the part of the other forces without the direction of their internal
+        force, which is not balanced any more.
         """
         touching, grasped = contacts.touching, contacts.enough_touching
-        if self._doubted or not touching.any():
+        if self._rejected or not touching.any():
             self._grasp = None
         elif grasped:
             self._grasp = contacts
@@ -264,7 +267,7 @@ class SlipRegulator:
 
     @property
     def _usable(self) -> Array:
-        """Friction that may be used: the learned one less the margin, shape (k,)."""
+        """Usable friction: the learned mu less the margin, shape (k,)."""
         return self.learned_friction / (1.0 + self.config.reflex.margin)
 
     def _carried(self, rotations: Array) -> CarriedLoad:
@@ -272,25 +275,25 @@ class SlipRegulator:
         return CarriedLoad(load, self._usable, self._required.reserve)
 
     def _take_over(self, measured: float) -> None:
-        """Begin with the measured grasp force, N, where the hand holds with more than configured.
+        """Start at the measured grasp force, N, if it exceeds the configured one.
 
-        Another regulator may have died with the object in the hand.
+        Another regulator may have crashed with the object in the hand.
         """
-        if not self._has_felt and measured > self._response.grasp_force:
+        if not self._has_grasped and measured > self._response.grasp_force:
             self._response.start(min(measured, self.config.maximum))
-        self._has_felt = True
+        self._has_grasped = True
 
     def _keep(self, stamp: int) -> None:
-        """Keep what is known of the friction: what false touch has taught is forgotten."""
+        """Keep the friction estimate, to restore it when touch is rejected."""
         if not self._kept or stamp - self._kept[-1][0] >= _AGE:
             self._kept = [*self._kept[-1:], (stamp, self._estimator.memory)]
 
     def _watch(
         self, forces: Array, normals: Array, axes: Array, fresh: NDArray[np.bool_], dt: float
     ) -> tuple[bool, bool]:
-        """Update slip and friction; return whether a contact slips, and the newest sample shows it.
+        """Update slip and friction; return whether a contact slips, and its newest sample slips.
 
-        The internal force acts along the axes, shape (k, 3).
+        The axes are the directions of the internal forces, shape (k, 3).
         """
         detector = self._detector
         state = detector.step(forces, normals, axes, fresh, dt)

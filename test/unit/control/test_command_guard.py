@@ -57,7 +57,7 @@ def test_good_commands_pass_to_the_bit():
         (TORQUE, {"refused": "a second sender"}, "a second sender"),
     ],
 )
-def test_what_is_wrong_begins_a_hold_and_is_named(command, changes, reason):
+def test_a_wrong_command_starts_a_hold_and_is_named(command, changes, reason):
     made = guard()
     answer = step(made, follow(made), command, **changes)
     assert made.reason == reason and made.held == 1 and np.isfinite(answer).all()
@@ -112,7 +112,7 @@ def test_where_no_time_has_passed_nothing_presses():
     np.testing.assert_allclose(held, HAND.gravity_torque(THETA), atol=1e-12)
 
 
-def test_commands_take_over_by_equal_shares():
+def test_commands_take_over_in_equal_steps():
     made, other = guard(blend_time=0.008), TORQUE + np.linspace(1.0, 2.0, 9)
     tick = follow(made) + 9
     held = step(made, tick, TORQUE, answers=0)
@@ -142,7 +142,7 @@ def test_a_joint_is_too_fast_above_its_limit_and_slow_again_at_four_fifths_of_it
 
 
 def test_a_hold_keeps_inside_the_limits_of_the_joints():
-    made = guard(**{"hold.reserve": 0.0, "hold.squeeze_limit": 0.0})
+    made = guard(**{"hold.reserve": 0.0, "hold.internal_force_limit": 0.0})
     last = follow(made)
     step(made, last)
     far = step(made, last + 1, theta=THETA + 1.0)
@@ -159,7 +159,7 @@ def test_a_change_is_limited_from_the_torque_before_and_not_after_a_hold():
     np.testing.assert_array_equal(step(made, last + 2, TORQUE - 3.0), TORQUE - 3.0)
 
 
-def test_holds_are_counted_by_reason_when_they_begin_and_ticks_always():
+def test_holds_are_counted_by_reason_when_they_start_and_ticks_always():
     made = guard(patience=0.0)
     tick = follow(made)
     for more in range(3):
@@ -270,7 +270,7 @@ def test_fingers_that_hardly_press_may_be_pulled_anywhere():
     for fraction, reason in ((0.9, ""), (20.0, command_guard.PULLS)):
         weight, made = HAND.gravity_torque(THETA), guard()
         _, presses = split_forces(tip_forces(HAND.fingertips(THETA), TORQUE - weight))
-        share = fraction * HAND.least_force / np.linalg.norm(presses, axis=1).sum()
+        share = fraction * HAND.minimum_force / np.linalg.norm(presses, axis=1).sum()
         for tick in range(6):
             step(made, tick, weight + share * (TORQUE - weight))
         step(made, 6, weight - share * 2.0 * (TORQUE - weight))
@@ -278,7 +278,7 @@ def test_fingers_that_hardly_press_may_be_pulled_anywhere():
 
 
 def test_a_hold_that_goes_on_brakes_where_the_commands_have_brought_the_joints():
-    made, there = guard(**{"hold.reserve": 0.0, "hold.squeeze_limit": 0.0}), THETA + 0.01
+    made, there = guard(**{"hold.reserve": 0.0, "hold.internal_force_limit": 0.0}), THETA + 0.01
     tick = follow(made)
     step(made, tick, refused="a second sender")
     step(made, tick + 1, TORQUE + 1e-6, theta=there)
@@ -309,7 +309,7 @@ def test_a_command_may_be_as_old_as_the_configuration_says(limit):
 
 
 def test_the_posture_of_the_first_held_tick_is_kept():
-    made = guard(**{"hold.reserve": 0.0, "hold.squeeze_limit": 0.0})
+    made = guard(**{"hold.reserve": 0.0, "hold.internal_force_limit": 0.0})
     last = follow(made) - 1
     step(made, last + 4, TORQUE, answers=last)
     pushed = THETA + 0.001
@@ -326,7 +326,7 @@ BAD = [np.full(9, np.nan), np.full(9, np.inf), np.where(np.arange(9) == 4, np.na
 
 @pytest.mark.parametrize("bad", BAD)
 @pytest.mark.parametrize("what", ["theta", "rates"])
-def test_joint_states_that_are_not_finite_begin_a_hold_without_the_drive(bad, what):
+def test_joint_states_that_are_not_finite_start_a_hold_without_the_drive(bad, what):
     """The last torque drove the joints: repeated, it would go on doing so."""
     made, tick = guard(**{"hold.reserve": 0.0}), 8
     drive = 0.1 * HAND.dynamics(THETA, STILL)[1] @ np.ones(9) / 0.002

@@ -10,7 +10,7 @@ from tactile_hand_ros.closed_loop.loop import ClosedLoop
 from tactile_hand_ros.control.contact import Contacts
 from tactile_hand_ros.control.controller import Controller, ControllerConfig, Mode
 from tactile_hand_ros.control.laws import Target
-from tactile_hand_ros.control.targets import MOST_WAITING
+from tactile_hand_ros.control.targets import MAX_WAITING
 from tactile_hand_ros.errors import GraspError, PoseError
 from tactile_hand_ros.rotations import rotation_from_quaternion, rotation_from_vector
 from tactile_hand_ros.scenario.scenario import load_scenario
@@ -89,7 +89,7 @@ def test_of_several_targets_the_latest_due_one_counts(bench):
 
 def test_of_too_many_waiting_targets_the_earliest_are_dropped_and_counted(bench):
     bench.step()
-    for tick in range(MOST_WAITING, 0, -1):
+    for tick in range(MAX_WAITING, 0, -1):
         bench.controller.command(bench.target(1e-5 * tick, 0.0, 0.0), stamp=(tick + 2) * TICK)
     assert bench.controller.dropped == 0
     for _ in range(2):
@@ -447,7 +447,7 @@ def test_reset_forgets_a_hold_with_its_posture_and_grasp_force():
     np.testing.assert_array_equal(held.torque, REST)
 
 
-def test_after_a_reset_time_may_begin_again():
+def test_after_a_reset_time_may_restart():
     """A target for a tick to come waits for it, though there was a later tick before the reset."""
     bench = strained()
     bench.controller.reset()
@@ -474,7 +474,7 @@ def test_a_new_grasp_keeps_nothing_of_the_old_one():
     np.testing.assert_allclose(target.position, given["contacts"].centroid, atol=1e-12)
 
 
-def test_open_fingers_touching_again_are_no_grasp_before_they_are_told_to_close(bench):
+def test_open_fingers_touching_again_are_no_grasp_before_a_command_to_close(bench):
     bench.step()
     let_go(bench)
     assert bench.step(5).mode is Mode.OPEN
@@ -491,7 +491,7 @@ def test_to_close_a_hand_that_is_not_open_changes_nothing(bench):
 
 
 @pytest.mark.parametrize("again", [False, True])
-def test_to_let_go_begins_at_the_posture_of_the_grasp_without_its_grasp_force(again):
+def test_a_release_starts_at_the_posture_of_the_grasp_without_its_grasp_force(again):
     bench = Bench(law__observer__time=0.02)
     bench.step(20, forces=FORCES)
     if again:

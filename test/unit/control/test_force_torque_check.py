@@ -29,11 +29,11 @@ def torque(forces):
     return joint_torques(*TERMS[0], CONTACTS.positions, pressing) + TERMS[2]
 
 
-def first_doubt(felt, applied, ticks=100, latency=0.0):
+def first_doubt(sensed, applied, ticks=100, latency=0.0):
     """Return the tick at which forces and torques, functions of the tick, are first doubted."""
     watch = ForceTorqueCheck(PLANT.hand)
     for tick in range(ticks):
-        seen = felt(tick), torque(applied(tick))
+        seen = sensed(tick), torque(applied(tick))
         if watch.step(
             tick * TICK, np.zeros(9), TERMS, CONTACTS, *seen, Tolerances(0.0, 0.3, latency)
         ):
@@ -104,7 +104,7 @@ def test_forces_of_a_finger_or_all_that_are_wrong_are_doubted_within_some_ticks(
 
 
 @given(st.integers(0, 2), st.integers(0, 8), st.floats(0.0, 0.2))
-def test_a_finger_whose_error_is_below_the_tolerance_is_believed(finger, joint, error):
+def test_a_finger_whose_error_is_below_the_tolerance_is_accepted(finger, joint, error):
     torques = torque(FORCES)
     own = slice(3 * finger, 3 * finger + 3)
     wrong = torques.copy()
@@ -128,7 +128,7 @@ def test_what_encoders_make_up_is_no_error():
     assert doubts[0] > 0 and doubts[1] == 0
 
 
-def test_true_forces_are_believed_also_while_they_grow_and_at_a_blow():
+def test_true_forces_are_accepted_while_they_grow_and_at_an_impact():
     assert first_doubt(noisy, noisy) is None
     grows = lambda i: noisy(i) * (1.0 + 0.02 * i)  # noqa: E731
     assert first_doubt(grows, grows) is None
@@ -170,7 +170,7 @@ def test_what_a_turning_palm_takes_of_the_joints_is_no_error_where_an_imu_shows_
     assert turning(0.2, imu=False) and not turning(0.8, imu=True)
 
 
-def test_an_imu_in_a_palm_at_rest_believes_no_more():
+def test_an_imu_in_a_palm_at_rest_does_not_widen_the_tolerance():
     """Nor does it after a turn."""
     watch = ForceTorqueCheck(PLANT.hand)
     for tick in range(300):
@@ -240,8 +240,8 @@ def frozen(change, stamps, joint=3, latency=0.0):
     return verdicts(seen, 1e3, latency=latency)
 
 
-LEAST = PLANT.hand.least_force * PLANT.hand.spans[1]
-LIMIT = LEAST + 0.05 * np.abs(torque(FORCES)[3:6]).max()
+MINIMUM = PLANT.hand.minimum_force * PLANT.hand.spans[1]
+LIMIT = MINIMUM + 0.05 * np.abs(torque(FORCES)[3:6]).max()
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
@@ -266,7 +266,7 @@ def test_the_finest_of_all_changes_of_a_force_counts(factor, found):
     """Once one component has changed by 1 mN, and later all of them by more."""
     base = torque(FORCES)
     lever = np.linalg.norm(TERMS[0].linear[1], axis=0).max()
-    limit = 0.01 * (np.abs(base[3:6]).max() + LEAST) + 3.0 * lever * 0.001
+    limit = 0.01 * (np.abs(base[3:6]).max() + MINIMUM) + 3.0 * lever * 0.001
     changed = base + factor * limit * np.eye(9)[3]
     shifts = ([0.0] * 3, [0.2, 0.0, 0.3], [0.2, 0.001, 0.7], [0.0] * 3, [0.0] * 3, [0.0] * 3)
     seen = []

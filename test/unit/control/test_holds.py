@@ -77,7 +77,7 @@ def test_a_hold_is_as_stiff_as_its_delay_allows_and_encoders_shake_it_little():
     assert shaken**2 * 0.08 * 1e-3 == pytest.approx(0.03 * HAND.finger_weight * HAND.spans.max())
 
 
-def test_braking_begins_without_a_step_of_the_torque_and_ends_in_a_spring():
+def test_braking_starts_without_a_step_of_the_torque_and_stops_in_a_spring():
     made, rates = hold(reserve=0.0), np.linspace(-0.5, 0.5, 9)
     made.engage(THETA, rates, PRESSED)
     model = terms(THETA, rates)
@@ -118,9 +118,10 @@ def test_the_internal_force_grows_with_the_load_and_never_falls():
 
 
 def test_the_internal_force_ends_at_its_limit_and_at_the_joints():
-    assert factor_under(hold(squeeze_limit=1.5 * TOTAL), -5.0) == pytest.approx(1.5, rel=1e-6)
-    assert factor_under(hold(squeeze_limit=0.5 * TOTAL), -5.0) == pytest.approx(1.0)
-    joints = factor_under(hold(squeeze_limit=1e4, friction=0.01), -5.0)
+    limited = hold(internal_force_limit=1.5 * TOTAL)
+    assert factor_under(limited, -5.0) == pytest.approx(1.5, rel=1e-6)
+    assert factor_under(hold(internal_force_limit=0.5 * TOTAL), -5.0) == pytest.approx(1.0)
+    joints = factor_under(hold(internal_force_limit=1e4, friction=0.01), -5.0)
     assert joints * np.abs(PRESSED).max() == pytest.approx(HAND.effort_limits.max(), rel=1e-6)
 
 
@@ -138,8 +139,8 @@ def test_what_an_encoder_cannot_tell_is_no_load():
 
 
 @pytest.mark.parametrize("fraction", [0.9, 1.1])
-def test_a_hundredth_of_a_fingers_weight_is_the_least_internal_force(fraction):
-    share = fraction * HAND.least_force / TOTAL
+def test_a_hundredth_of_a_fingers_weight_is_the_minimum_internal_force(fraction):
+    share = fraction * HAND.minimum_force / TOTAL
     made = hold(reserve=0.5)
     made.engage(THETA, STILL, share * PRESSED)
     found = made.step((THETA, STILL), terms(THETA, STILL), follows=True)

@@ -86,7 +86,7 @@ def test_a_contact_that_is_pulled_straight_off_needs_just_that_much(pull, share,
     st.lists(st.floats(-1.0, 1.0), min_size=3, max_size=3),
     st.floats(0.05, 1.5),
 )
-def test_the_grasp_force_that_holds_is_the_least(load, shape, friction):
+def test_the_required_grasp_force_is_the_minimum_that_holds(load, shape, friction):
     """How far inside the cone a force is, is concave in k: it holds on one interval or nowhere."""
     load, shape = np.array(load), np.array(shape)
     assume(abs(shape[0] ** 2 + shape[2] ** 2 - friction**2 * shape[1] ** 2) > 1e-2)

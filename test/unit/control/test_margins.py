@@ -55,10 +55,10 @@ def leaning(hand, theta, angles):
     ways = np.array([0.4, 2.5, -1.2])  # round the tip
     sides = np.array([0.0 * ways, np.cos(ways), np.sin(ways)]).T
     local = np.cos(angles)[:, None] * [1.0, 0.0, 0.0] + np.sin(angles)[:, None] * sides
-    tips, centres = hand.tip_rotations(theta), hand.tip_positions(theta)
+    tips, centers = hand.tip_rotations(theta), hand.tip_positions(theta)
     normals = np.array([tip @ n for tip, n in zip(tips, local, strict=True)])
     frames = np.array([contact_frame(n) for n in normals])
-    return Contacts(centres + RADII[:, None] * normals, frames)
+    return Contacts(centers + RADII[:, None] * normals, frames)
 
 
 def test_the_papers_grasp_is_far_from_every_edge(grasp):
@@ -148,7 +148,7 @@ def test_distance_to_the_cones():
     np.testing.assert_allclose(cone_distances(HOLDS, MU), INSIDE, atol=1e-12)
 
 
-def test_the_worst_of_an_interval_is_told_and_a_new_one_begins(grasp):
+def test_the_worst_of_an_interval_is_reported_and_a_new_one_starts(grasp):
     contacts, watch = grasp[1], SlipMonitor()
     note(watch, 0, contacts)
     note(watch, MS, contacts, evidence=[0.1, 0.7, 0.2], forces=0.5 * HOLDS)

@@ -84,7 +84,7 @@ def test_a_finger_that_starts_off_the_object_closes_while_four_hold(tmp_path):
     assert record.true_slid.max() < 1e-4
 
 
-def test_what_stops_a_finger_where_it_feels_nothing_is_pressed_softly(tmp_path):
+def test_an_obstacle_off_the_skin_is_pressed_softly(tmp_path):
     """The skin of finger 1 fails while it holds: it lets go, and leans on the object."""
     loop = ClosedLoop(scenario_of(tmp_path, 4, 0.6, {}))
     record = Record.empty(600, loop.plant.hand.finger_names, loop.plant.hand.joint_names)

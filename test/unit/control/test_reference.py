@@ -34,7 +34,7 @@ def test_position_and_orientation_follow_a_critically_damped_spring_whatever_the
 
 
 @pytest.mark.parametrize("interrupt", ["no time", "reset"])
-def test_it_begins_again_at_the_grasp_after_an_interruption(interrupt):
+def test_it_restarts_at_the_grasp_after_an_interruption(interrupt):
     reference = SmoothReference()
     for _ in range(30):
         reference.step(TARGET, NOW, TIME, 0.002)

@@ -148,7 +148,7 @@ def test_a_finger_that_did_not_touch_stays_where_it_is(fingers):
     np.testing.assert_allclose(fingers.depths(5), [-5.0, 0.0, -5.0], atol=0.01)
 
 
-def test_every_letting_go_begins_anew_at_its_own_posture(fingers):
+def test_every_release_starts_at_its_own_posture(fingers):
     regrasp = fingers.regrasp
     assert not regrasp.active and not regrasp.closing
     theta = THETA + 0.1

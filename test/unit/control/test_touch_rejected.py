@@ -7,7 +7,7 @@ from support.controllers import REST, TICK, Bench
 
 from tactile_hand_ros.control.contact import in_palm, joint_torques
 from tactile_hand_ros.control.controller import Mode
-from tactile_hand_ros.control.targets import MOST_CHECKED, MOST_WAITING
+from tactile_hand_ros.control.targets import MAX_CHECKED, MAX_WAITING
 from tactile_hand_ros.errors import PoseError
 
 FORCES = np.array([[0.3, 4.0, -0.2], [0.1, 2.5, 0.6], [-0.4, 3.0, 0.5]])
@@ -23,7 +23,7 @@ def pressing(bench, forces=FORCES):
     return joint_torques(*hand.fingertips(bench.theta), bench.contacts.positions, press) + weight
 
 
-def felt(bench, share=1.0):
+def touch(bench, share=1.0):
     """Return measured forces, and torques that press with a fraction of them."""
     return {"forces": FORCES, "applied": pressing(bench, share * FORCES)}
 
@@ -31,21 +31,21 @@ def felt(bench, share=1.0):
 def doubting(**values):
     """Return a controller that has just doubted the measured forces for the first time."""
     bench = Bench(**FEELS, **values)
-    bench.step(5, **felt(bench))
-    bench.step(**felt(bench, 0.0))
+    bench.step(5, **touch(bench))
+    bench.step(**touch(bench, 0.0))
     return bench
 
 
 def test_forces_are_compared_with_torques_where_they_decide_what_the_hand_does():
     bench = Bench(**FEELS)
-    drive = bench.step(5, **felt(bench))
+    drive = bench.step(5, **touch(bench))
     assert drive.mode is Mode.DRIVE and not drive.do_not_send
-    held = bench.step(2, **felt(bench, 0.0))
+    held = bench.step(2, **touch(bench, 0.0))
     assert held.mode is Mode.HOLD and DO_NOT_FIT in held.reason and held.pose is None
     for bench in (Bench(), Bench(**FEELS, force_tolerance=0.0)):
-        assert bench.step(3, **felt(bench, 0.0)).mode is Mode.DRIVE
+        assert bench.step(3, **touch(bench, 0.0)).mode is Mode.DRIVE
     bench = Bench(**FEELS)
-    for one in felt(bench, 0.0).items():  # one of the two alone proves nothing
+    for one in touch(bench, 0.0).items():  # one of the two alone proves nothing
         assert bench.step(3, **dict([one])).mode is Mode.DRIVE
 
 
@@ -53,7 +53,7 @@ def test_the_tolerance_of_the_forces_is_the_configured_one():
     modes = []
     for tolerance in (0.1, 0.5):
         bench = Bench(**FEELS, force_tolerance=tolerance)
-        modes.append(bench.step(60, **felt(bench, 0.75)).mode)
+        modes.append(bench.step(60, **touch(bench, 0.75)).mode)
     assert modes == [Mode.HOLD, Mode.DRIVE]
 
 
@@ -62,16 +62,16 @@ def test_a_doubtful_input_is_answered_by_the_guard_at_first_and_after_half_a_sec
     doubted = bench.stamp - TICK
     for late, do_not_send in ((0.002, True), (0.498, True), (0.5, False), (7.0, False)):
         bench.stamp = doubted + round(1e9 * late)
-        held = bench.step(**felt(bench, 0.0))
+        held = bench.step(**touch(bench, 0.0))
         assert held.mode is Mode.HOLD and held.do_not_send == do_not_send
     bench.controller.joints_held = True
-    assert bench.step(**felt(bench, 0.0)).do_not_send
+    assert bench.step(**touch(bench, 0.0)).do_not_send
     bench.controller.joints_held = False
-    assert not bench.step(**felt(bench, 0.0)).do_not_send
+    assert not bench.step(**touch(bench, 0.0)).do_not_send
 
 
 @pytest.mark.parametrize("end", ["a good tick", "forget"])
-def test_the_time_of_a_doubt_begins_again_after_its_end(end):
+def test_the_time_of_implausible_inputs_restarts_after_their_end(end):
     bench = Bench(grasp_force_limit=12.0, input_timeout=0.1)
     bench.step()
     assert bench.step(grasp_force=13.0).do_not_send
@@ -99,9 +99,9 @@ def retake(bench):
 def test_what_was_pressed_before_another_grasp_is_forgotten(end):
     """The averages of the forces begin again; else the old ones would outweigh what fits now."""
     bench = doubting()
-    bench.step(50, **felt(bench, 0.0))
+    bench.step(50, **touch(bench, 0.0))
     end(bench)
-    assert [bench.step(**felt(bench)).mode for _ in range(3)] == [Mode.DRIVE] * 3
+    assert [bench.step(**touch(bench)).mode for _ in range(3)] == [Mode.DRIVE] * 3
 
 
 def test_a_doubt_keeps_the_torque_that_a_new_controller_has_found():
@@ -110,7 +110,7 @@ def test_a_doubt_keeps_the_torque_that_a_new_controller_has_found():
     np.testing.assert_allclose(bench.step(applied=left).torque, left, atol=1e-12)
 
 
-def test_a_grasp_force_is_believed_up_to_its_limit():
+def test_a_grasp_force_is_accepted_up_to_its_limit():
     bench = Bench(grasp_force_limit=12.0)
     drive = bench.step(grasp_force=12.0)
     assert drive.mode is Mode.DRIVE
@@ -213,7 +213,7 @@ def test_a_tick_integrates_at_most_fifty_milliseconds_and_nothing_backwards():
 
 
 def test_a_thousand_poses_may_wait_and_one_is_judged_in_a_tick_or_a_silence():
-    assert (MOST_WAITING, MOST_CHECKED) == (1000, 1)
+    assert (MAX_WAITING, MAX_CHECKED) == (1000, 1)
     bench = Bench()
     bench.step()
     far = bench.target(0.0, 0.0, 2.0)

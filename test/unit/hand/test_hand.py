@@ -208,7 +208,7 @@ def test_tips_frames_and_dynamics_agree_however_they_are_asked_for(mixed):
     raw = mixed.raw_dynamics(theta, rates)
     np.testing.assert_array_equal(np.triu(raw.inertia), np.triu(inertia))
     np.testing.assert_array_equal(raw.bias, bias)
-    for found in (raw.centres, mixed.tip_positions(theta), mixed.fingertips(theta).positions):
+    for found in (raw.centers, mixed.tip_positions(theta), mixed.fingertips(theta).positions):
         np.testing.assert_allclose(found, tips.positions, atol=1e-15)
     np.testing.assert_allclose(mixed.fingertips(theta).linear, tips.linear, atol=1e-15)
     np.testing.assert_allclose(mixed.tip_rotations(theta), orientation_of_tips(mixed, theta))

@@ -136,4 +136,4 @@ def test_a_layout_moves_the_joints_that_it_names_and_no_others(tmp_path):
 def test_a_finger_weighs_what_its_links_weigh_without_the_palm(name, weight):
     assert finger_weight(load_hand_config(name)) == pytest.approx(weight)
     hand = Hand.load(name)
-    assert hand.least_force == pytest.approx(0.01 * weight)
+    assert hand.minimum_force == pytest.approx(0.01 * weight)

@@ -21,7 +21,7 @@ from support.spinning import spinning
 
 from tactile_hand_ros import names
 from tactile_hand_ros.control.contact import Contacts
-from tactile_hand_ros.control.targets import MOST_WAITING
+from tactile_hand_ros.control.targets import MAX_WAITING
 from tactile_hand_ros.nodes.force_optimizer import ForceOptimizerNode
 from tactile_hand_ros.nodes.manipulation_controller import ManipulationControllerNode
 from tactile_hand_ros.nodes.slip_regulator import SlipRegulatorNode
@@ -370,7 +370,7 @@ def test_of_too_many_poses_for_later_the_earliest_are_dropped(here: Process) -> 
     node = here.make(ManipulationControllerNode)
     here.receive(PoseStamped, names.ACCEPTED_POSE)
     position = STATE.contacts.positions.mean(axis=0)
-    for number in range(MOST_WAITING + 3):
+    for number in range(MAX_WAITING + 3):
         receive(node, pose_message(position, np.eye(3), (number + 1) * TICK))
     assert facts(node)["dropped_poses"] == "3"
     for number in range(6):

@@ -261,13 +261,13 @@ def test_mistakes_in_changes_name_the_option_and_not_the_file(tmp_path):
 
 def test_the_hold_squeezes_up_to_the_limit_of_the_regulator():
     def limit_of(scenario: Scenario) -> float:
-        return scenario.plant.guard.hold.squeeze_limit
+        return scenario.plant.guard.hold.internal_force_limit
 
     assert limit_of(load_scenario("paper")) == 40.0
     assert limit_of(load_scenario("crush_limit")) == 15.0
     raised = load_scenario("crush_limit").changed({"slip_regulator.maximum": 20.0})
     assert limit_of(raised) == 20.0
-    own = load_scenario("paper", {"plant.guard.hold.squeeze_limit": 12.0})
+    own = load_scenario("paper", {"plant.guard.hold.internal_force_limit": 12.0})
     assert limit_of(own.changed({"slip_regulator.maximum": 20.0})) == 12.0
     assert limit_of(Scenario(slip_regulator={"maximum": 30.0})) == 30.0
 

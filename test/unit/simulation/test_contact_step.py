@@ -187,7 +187,7 @@ def test_impacts_take_energy_and_do_not_rebound(friction, mass):
 
 
 def test_only_what_touches_or_is_pushed_is_seen():
-    """A gap of a micrometre is none, and a push is felt whatever rounding makes of the gap."""
+    """A gap of a micrometre is none, and a push is seen whatever rounding makes of the gap."""
     size, position = np.array([0.2, 0.3, 0.4]), np.array([0.05, -0.02, 0.4])
     rotation = rotation_from_vector([0.4, -0.3, 0.6])
     faces = np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1.0]])
@@ -202,9 +202,9 @@ def test_only_what_touches_or_is_pushed_is_seen():
     rows = np.zeros((6, 3, 6))
     rows[:, 0, 2], rows[:, 1, 1], rows[:, 2, 0] = 1.0, 1.0, -1.0
     now = at_rest(np.zeros(0), position, rotation, 6)._replace(impulses=impulses, rows=rows)
-    points, frames, found, felt = observed(World(radii, shape, 1.0, np.eye(3)), now, tips)
-    np.testing.assert_allclose(felt[:, 1], pushes)
-    np.testing.assert_allclose(np.linalg.norm(felt, axis=1), np.linalg.norm(impulses, axis=1))
+    points, frames, found, seen = observed(World(radii, shape, 1.0, np.eye(3)), now, tips)
+    np.testing.assert_allclose(seen[:, 1], pushes)
+    np.testing.assert_allclose(np.linalg.norm(seen, axis=1), np.linalg.norm(impulses, axis=1))
     np.testing.assert_allclose(found, gaps, atol=1e-12)
     seen = np.array([False, True, True, True, False, True])
     assert ((gaps > TOUCH) & (pushes == 0.0) == ~seen).all()

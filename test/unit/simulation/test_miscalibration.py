@@ -22,12 +22,12 @@ def loop(**errors: object) -> ClosedLoop:
 def test_without_errors_hand_and_model_are_one() -> None:
     made = loop()
     assert CalibrationConfig().is_right
-    assert made.plant.hand is made.plant.known
+    assert made.plant.hand is made.plant.model
 
 
 def test_larger_tips_touch_where_they_are_and_are_reported_where_the_model_is() -> None:
     made = loop(tip_radii=1.1, link_lengths=1.03)
-    state, known = made.plant.state, made.plant.known
+    state, known = made.plant.state, made.plant.model
     np.testing.assert_allclose(made.plant.hand.radii, 1.1 * known.radii)
     assert np.abs(state.gaps).max() < 1e-12
     true = true_reading(state)
@@ -45,7 +45,7 @@ def test_a_turned_skin_turns_normal_and_force_alike() -> None:
     vector = np.array([0.05, -0.1, 0.08])
     made = loop()
     made.run(40)
-    state, hand = made.plant.state, made.plant.known
+    state, hand = made.plant.state, made.plant.model
     true = true_reading(state)
     errors = CalibrationConfig(skin_rotation=tuple(vector))
     seen = miscalibrated(errors, hand, state.theta, true)

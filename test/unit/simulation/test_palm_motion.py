@@ -66,7 +66,7 @@ def test_a_free_body_moves_straight_and_keeps_its_angular_momentum_in_the_world(
     assert_allclose(kept, angular, atol=1e-5)
 
 
-def test_fingers_at_rest_feel_the_slope_of_the_centrifugal_potential():
+def test_torques_on_fingers_at_rest_are_the_slope_of_the_centrifugal_potential():
     hand, spin = Hand.load("human"), np.array([2.0, -1.0, 3.0])
     theta, rest = np.array([0.5, 0.1, 0.8, 0.7, -0.2, 0.6, 0.3, 0.2, 1.0]), np.zeros(9)
     model = pin.buildModelFromXML(hand.description, pin.JointModelFreeFlyer())
@@ -82,7 +82,7 @@ def test_fingers_at_rest_feel_the_slope_of_the_centrifugal_potential():
     assert_allclose(hand.turning_torque(theta, rest, rest[:3], rest[:3]), 0.0, atol=1e-15)
 
 
-def test_a_palm_that_rests_in_another_orientation_feels_gravity_from_there():
+def test_gravity_acts_in_the_orientation_of_a_palm_at_rest():
     turned = {"plant.palm_motion": [{"time": 0.0, "rotation": [1.2, 0.3, 0.0]}], "duration": 0.1}
     found = ClosedLoop(load_scenario("hold", turned)).run()
     down = rotation_from_vector([1.2, 0.3, 0.0]).T @ [0.0, 0.0, -9.81]

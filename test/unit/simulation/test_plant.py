@@ -205,7 +205,7 @@ def test_a_wrong_number_of_initial_angles_is_refused(angles):
         plant(initial_joints=angles)
 
 
-def test_a_simulation_that_diverges_says_so_and_can_begin_anew():
+def test_a_simulation_that_diverges_reports_it_and_can_restart():
     """A blow that no object survives."""
     made = plant(disturbances=[push(start=0.1, force=(0.0, 0.0, 1e7))])
     with pytest.raises(DivergedError, match="has diverged at .* s.* reset the plant"):

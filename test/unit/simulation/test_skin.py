@@ -176,7 +176,7 @@ def test_of_a_pause_a_second_of_samples_is_made_up_for(pause, unread, bandwidth)
     """Edges of the band above half the rate count as that; a low-pass takes each sample in turn."""
     skin = sensor(rate=100.0, seed=4, bandwidth=bandwidth, vibration={"gain": 10.0, "limit": 0.2})
     sliding, still = np.ones(3), truth()
-    felt = skin.step(0, still, sliding).forces - still.forces
+    sensed = skin.step(0, still, sliding).forces - still.forces
     found = skin.step(pause * 10_000_000, still, sliding).forces - still.forces
     read, others = np.random.default_rng(4), np.random.default_rng([4, 1])
     first = read.standard_normal((4, 3, 3))[1:2]
@@ -184,11 +184,11 @@ def test_of_a_pause_a_second_of_samples_is_made_up_for(pause, unread, bandwidth)
     last = read.standard_normal((4, 3, 3))[1:2]
     white = np.concatenate([first, others.standard_normal((unread, 3, 3)), last])
     shaking = 0.2 * (1.0 - np.exp(-50.0)) * band(white, 45.0, 50.0, 100.0)
-    np.testing.assert_allclose(felt, shaking[0], atol=1e-12)
-    expected, follow = felt, -np.expm1(-2.0 * np.pi * bandwidth / 100.0)
+    np.testing.assert_allclose(sensed, shaking[0], atol=1e-12)
+    expected, follow = sensed, -np.expm1(-2.0 * np.pi * bandwidth / 100.0)
     for sample in shaking[1:]:
         expected = expected + follow * (sample - expected) if bandwidth else sample
-    is_long = bandwidth and pause > unread + 1  # then what was felt before is forgotten further
+    is_long = bandwidth and pause > unread + 1  # then what was sensed before is forgotten further
     np.testing.assert_allclose(found, expected, atol=1e-4 if is_long else 1e-12)
 
 
@@ -198,7 +198,7 @@ def test_a_location_is_displaced_then_rounded_then_smoothed():
         location_bandwidth=50.0,
     )
     normals, random, before = truth().contacts.normals, np.random.default_rng(9), None
-    centres = truth().positions - RADII[:, None] * normals
+    centers = truth().positions - RADII[:, None] * normals
     share = 1.0 - np.exp(-2.0 * np.pi * 50.0 * 1e-3)
     for i in range(20):
         found = skin.step(i * 1_000_000, truth())
@@ -207,7 +207,7 @@ def test_a_location_is_displaced_then_rounded_then_smoothed():
         arms = 0.002 * np.rint((RADII[:, None] * normals + 0.003 * white) / 0.002)
         before = arms if before is None else before + share * (arms - before)
         seen = before / np.linalg.norm(before, axis=1)[:, None]
-        np.testing.assert_allclose(found.positions, centres + RADII[:, None] * seen, atol=1e-12)
+        np.testing.assert_allclose(found.positions, centers + RADII[:, None] * seen, atol=1e-12)
         frames = np.array([contact_frame(n) for n in seen])
         np.testing.assert_allclose(found.contacts.rotations, frames, atol=1e-9)
 

@@ -132,7 +132,7 @@ def test_the_inertia_of_a_turned_body_is_turned():
     np.testing.assert_allclose(turned.gyration(), turn @ box.gyration() @ turn.T, atol=1e-12)
 
 
-def test_a_uniform_body_off_its_centre_is_refused():
+def test_a_uniform_body_off_its_center_is_refused():
     corners = (ConvexPolyhedron.box(np.full(3, 0.1)).vertices + [0.0, 0.02, 0.0]).ravel().tolist()
     body = ObjectConfig(vertices=corners)
     with pytest.raises(ObjectModelError, match=r"at \(.*, 0.02, .*move the vertices, or give"):

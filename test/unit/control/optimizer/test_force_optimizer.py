@@ -59,7 +59,7 @@ def test_weights_may_differ_from_contact_to_contact():
     np.testing.assert_allclose(found.forces, expected, atol=1e-10)
 
 
-def test_a_least_share_is_kept_exactly():
+def test_a_minimum_normal_force_is_kept_exactly():
     found = optimizer(minimum_normal=0.2).solve(three_faces())
     np.testing.assert_allclose(found.forces[:, 1], [0.4, 0.4, 0.2], atol=1e-10)
     assert found.residual < 1e-9
@@ -138,7 +138,7 @@ def test_equal_histories_give_equal_bits():
             assert one.iterations == two.iterations
 
 
-def test_the_last_active_bounds_are_where_the_next_answer_begins():
+def test_the_next_solution_starts_with_the_last_active_bounds():
     solver = optimizer()
     first = solver.solve(beside()).iterations
     assert solver.solve(beside()).iterations == 1 < first
@@ -171,7 +171,7 @@ def test_new_weights_take_effect_and_refused_ones_change_nothing():
     np.testing.assert_allclose(solver.solve(three_faces()).forces, equal, atol=1e-12)
 
 
-def test_shares_that_add_up_to_more_than_the_whole_are_refused():
+def test_minimum_normal_forces_that_add_up_to_more_than_one_are_rejected():
     assert optimizer(fingers=3, minimum_normal=0.3).config.minimum_normal == 0.3
     assert optimizer(fingers=4, minimum_normal=0.2499).config.minimum_normal == 0.2499
     for share in (0.25, 0.3):  # of a quarter each nothing is left to share
@@ -179,7 +179,7 @@ def test_shares_that_add_up_to_more_than_the_whole_are_refused():
             optimizer(fingers=4, minimum_normal=share)
 
 
-def test_four_contacts_on_four_faces_share_alike():
+def test_four_contacts_on_four_faces_press_equally():
     points = HALF * np.array([[1.0, 0, 0], [0, 1.0, 0], [-1.0, 0, 0], [0, -1.0, 0]])
     found = optimizer(4).solve(contacts_at(points, -points))
     np.testing.assert_allclose(found.forces, np.tile([0.0, 0.25, 0.0], (4, 1)), atol=1e-10)

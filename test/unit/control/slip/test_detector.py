@@ -149,8 +149,8 @@ def test_what_lasts_is_learned_as_noise_and_short_slips_are_not():
     assert (told[:300] == SLIP).any() and not (told[-1000:] == SLIP).any()
 
 
-@pytest.mark.parametrize("values", [{"least_noise": 0.1}, {"relative_noise": 0.02}])
-def test_vibration_below_the_least_of_a_skin_is_never_slip(values):
+@pytest.mark.parametrize("values", [{"minimum_noise": 0.1}, {"relative_noise": 0.02}])
+def test_vibration_below_the_minimum_noise_is_never_slip(values):
     forces = slips_once(rms=0.06)
     assert (run(forces) == SLIP).any()
     assert not (run(forces, SlipDetector(SlipDetectorConfig(**values), 1)) == SLIP).any()
@@ -173,7 +173,7 @@ def test_a_force_that_is_no_more_than_noise_is_unknown():
     assert run(weak + [0.0, 0.2, 0.0])[-1] == STICK
 
 
-def test_a_detector_that_was_reset_cannot_be_told_from_a_new_one():
+def test_a_detector_that_was_reset_equals_a_new_one():
     used, fresh = (SlipDetector(SlipDetectorConfig(), 1) for _ in range(2))
     run(slips_once(), used)
     used.reset()

@@ -17,7 +17,7 @@ from tactile_hand_ros.rotations import rotation_from_vector
 
 UNKNOWN, STICK, SLIP = ContactState.UNKNOWN, ContactState.STICK, ContactState.SLIP
 TICK = 2_000_000
-NO_RESERVE = {"floor": 0.0, "share": 0.0}
+NO_RESERVE = {"floor": 0.0, "fraction": 0.0}
 
 
 def regulator(**values):
@@ -113,10 +113,10 @@ def test_the_limits_hold_for_what_the_object_needs_too():
     assert slip.needed > 8.0 and max(found) == found[-1] == 8.0
 
 
-FELT = np.array([[0.4, 2.6, 1.8], [-0.3, 2.2, 0.9], [0.2, 1.1, 0.3]])
+FORCES = np.array([[0.4, 2.6, 1.8], [-0.3, 2.2, 0.9], [0.2, 1.1, 0.3]])
 
 
-def feel(slip, ticks, slides=(), contacts=None, forces=FELT, seed=0):
+def run(slip, ticks, slides=(), contacts=None, forces=FORCES, seed=0):
     """Return all that is told at each tick while some fingers slide, 2 ms apart from 0 on."""
     told, random = [], np.random.default_rng(seed)
     rms = np.array([0.15 if finger in slides else 0.005 for finger in range(3)])[:, None]
@@ -129,18 +129,18 @@ def feel(slip, ticks, slides=(), contacts=None, forces=FELT, seed=0):
 
 
 @pytest.mark.parametrize("slides", [(), (1,)])
-def test_a_regulator_that_was_reset_cannot_be_told_from_a_new_one(slides):
+def test_a_regulator_that_was_reset_equals_a_new_one(slides):
     fresh, used = (regulator(mode="shared", grasp_force=8.0) for _ in range(2))
     used.request(30.0)
-    feel(used, 150, seed=1)
-    feel(used, 15, slides=(0, 2), seed=2)
+    run(used, 150, seed=1)
+    run(used, 15, slides=(0, 2), seed=2)
     assert (used.learned_friction != fresh.learned_friction).all() and used.grasp_force > 8.0
     assert SLIP in used.state and used.slip_likelihood.max() == 1.0
     used.reset()
     np.testing.assert_array_equal(used.learned_friction, [0.4, 0.4, 0.4])
     assert (used.state == UNKNOWN).all() and not used.slip_likelihood.any()
     assert np.isnan(used.needed) and used.grasp_force == 8.0
-    np.testing.assert_array_equal(feel(used, 150, slides), feel(fresh, 150, slides))
+    np.testing.assert_array_equal(run(used, 150, slides), run(fresh, 150, slides))
 
 
 @pytest.mark.parametrize("mode", ["user", "auto"])
@@ -149,8 +149,8 @@ def test_a_finger_without_a_contact_tells_nothing_whatever_force_it_reports(mode
     """A skin that has drifted may report some; here it would prove a friction of 0.7 and more."""
     positions, slip = three_faces().positions, regulator(mode=mode)
     positions[lost] = np.nan
-    feel(slip, 200, contacts=Contacts(positions, three_faces().rotations))
-    known = np.hypot(FELT[:, 0], FELT[:, 2]) / FELT[:, 1] > 0.45
+    run(slip, 200, contacts=Contacts(positions, three_faces().rotations))
+    known = np.hypot(FORCES[:, 0], FORCES[:, 2]) / FORCES[:, 1] > 0.45
     for finger in range(3):
         assert slip.state[finger] == (UNKNOWN if finger == lost else STICK)
         assert (slip.learned_friction[finger] > 0.45) == (known[finger] and finger != lost)
@@ -222,7 +222,7 @@ def test_a_contact_that_fails_to_report_is_no_load_however_long_k_f_follows(last
     """The forces of the others stay in proportion to k_f, as of a grasp without a load."""
     slip, k_f = regulator(mode="auto", maximum=400.0), 10.0
     contacts, gone = three_faces(), parted(1)
-    shape = FELT / FELT[:, 1].sum()
+    shape = FORCES / FORCES[:, 1].sum()
     for tick in range(1000 + lasts):
         noise = 1e-3 * np.sin(tick + np.arange(9.0)).reshape(3, 3)
         seen = gone if tick >= 1000 else contacts
@@ -236,8 +236,8 @@ def test_a_contact_that_fails_to_report_is_no_load_however_long_k_f_follows(last
 def test_the_load_that_has_torn_a_contact_off_is_carried_by_the_others_and_counts():
     """As if the contact were still there and carried nothing; k_f follows within three ticks."""
     slip = regulator(mode="auto", grasp_force=4.0, maximum=200.0, reserve=NO_RESERVE)
-    feel(slip, 300)
-    torn = FELT + np.array([[0.0, 1.0, 3.0], [0.0, 2.0, 3.0], [0.0, 0.0, 0.0]])
+    run(slip, 300)
+    torn = FORCES + np.array([[0.0, 1.0, 3.0], [0.0, 2.0, 3.0], [0.0, 0.0, 0.0]])
     torn[2] = 0.0
     for i in range(300, 303):
         found = slip.step(i * TICK, parted(2), torn)
@@ -263,9 +263,9 @@ def thin(margin):
 def test_what_is_carried_is_the_load_in_contact_frames_usable_friction_and_a_reserve(mode):
     """The load by the pseudoinverse of G~ in contact frames."""
     grasp = moved(three_faces(), rotation_from_vector([0.4, -1.1, 0.7]), np.array([0.1, 0.0, 0.3]))
-    slip = regulator(mode=mode, reserve={"share": 0.5}, reflex={"margin": 0.25})
-    found, balance = carried(slip, grasp, FELT), balance_in_frames(grasp)
-    expected = (np.linalg.pinv(balance) @ balance @ FELT.ravel()).reshape(-1, 3)
+    slip = regulator(mode=mode, reserve={"fraction": 0.5}, reflex={"margin": 0.25})
+    found, balance = carried(slip, grasp, FORCES), balance_in_frames(grasp)
+    expected = (np.linalg.pinv(balance) @ balance @ FORCES.ravel()).reshape(-1, 3)
     np.testing.assert_allclose(found.load, expected, atol=1e-12)
     np.testing.assert_allclose(found.friction, slip.learned_friction / 1.25)
     floor = 0.6 * finger_weight(load_hand_config("paper")) / 3.0
@@ -276,18 +276,18 @@ def test_what_is_carried_is_the_load_in_contact_frames_usable_friction_and_a_res
 @pytest.mark.parametrize(
     ("contacts", "forces"),
     [
-        (three_faces(), -FELT),
+        (three_faces(), -FORCES),
         (thin(0.0099), np.array([[0.0, 2.0, 0.0], [0.0, 2.0, 0.0], [0.0, 4.0, 0.0]])),
-        (Contacts(np.full((3, 3), np.nan), three_faces().rotations), FELT),
+        (Contacts(np.full((3, 3), np.nan), three_faces().rotations), FORCES),
     ],
     ids=["fingers pull", "contacts on a line", "none touches"],
 )
-def test_without_a_grasp_nothing_is_carried_and_the_next_one_begins_anew(contacts, forces):
+def test_without_a_grasp_there_is_no_load_and_the_next_one_starts_afresh(contacts, forces):
     slip = regulator(mode="auto")
-    feel(slip, 300, forces=3.0 * FELT)
+    run(slip, 300, forces=3.0 * FORCES)
     assert np.isnan(carried(slip, contacts, forces).load).all() and np.isnan(slip.needed)
-    found = carried(slip, three_faces(), FELT, at=1001).load
-    np.testing.assert_allclose(found, carried(regulator(), three_faces(), FELT).load, atol=1e-12)
+    found = carried(slip, three_faces(), FORCES, at=1001).load
+    np.testing.assert_allclose(found, carried(regulator(), three_faces(), FORCES).load, atol=1e-12)
 
 
 def test_a_grasp_a_hundredth_as_thin_as_long_carries_something():
@@ -297,12 +297,12 @@ def test_a_grasp_a_hundredth_as_thin_as_long_carries_something():
 
 def test_while_touch_is_rejected_nothing_is_carried():
     slip = regulator(mode="auto")
-    feel(slip, 300, forces=3.0 * FELT)
+    run(slip, 300, forces=3.0 * FORCES)
     slip.reject_touch(True)
-    assert np.isnan(carried(slip, three_faces(), FELT).load).all()
+    assert np.isnan(carried(slip, three_faces(), FORCES).load).all()
     slip.reject_touch(False)
-    found = carried(slip, three_faces(), FELT, at=1001).load
-    np.testing.assert_allclose(found, carried(regulator(), three_faces(), FELT).load, atol=1e-12)
+    found = carried(slip, three_faces(), FORCES, at=1001).load
+    np.testing.assert_allclose(found, carried(regulator(), three_faces(), FORCES).load, atol=1e-12)
 
 
 def test_jerks_along_the_grasp_force_of_each_finger_are_no_slip():
@@ -318,9 +318,9 @@ def test_jerks_along_the_grasp_force_of_each_finger_are_no_slip():
 def test_a_reserve_is_kept_up_to_four_fifths_of_the_limit_and_a_need_to_all_of_it():
     slip = regulator(mode="auto", maximum=40.0, reserve={"floor": 1e3})
     for i in range(60):
-        slip.step(i * TICK, three_faces(), FELT)
+        slip.step(i * TICK, three_faces(), FORCES)
     assert slip.grasp_force == pytest.approx(32.0, rel=1e-12) and slip.ready > 100.0
-    heavy = FELT + np.array([[0.0, 0.0, 9.0], [0.0, 0.0, 9.0], [0.0, 0.0, 0.0]])
+    heavy = FORCES + np.array([[0.0, 0.0, 9.0], [0.0, 0.0, 9.0], [0.0, 0.0, 0.0]])
     for i in range(60, 120):
         slip.step(i * TICK, three_faces(), heavy)
     assert slip.grasp_force == 40.0 < slip.needed
@@ -331,9 +331,9 @@ def test_a_tick_that_comes_twice_changes_nothing():
     once, twice = regulator(mode="auto"), regulator(mode="auto")
     random = np.random.default_rng(4)
     for i in range(200):
-        forces = FELT + 0.02 * random.standard_normal((3, 3))
+        forces = FORCES + 0.02 * random.standard_normal((3, 3))
         found = [slip.step(i * TICK, three_faces(), forces) for slip in (once, twice)]
-        found.append(twice.step(i * TICK, three_faces(), 5.0 * FELT[::-1]))
+        found.append(twice.step(i * TICK, three_faces(), 5.0 * FORCES[::-1]))
         assert len(set(found)) == 1
         np.testing.assert_array_equal(once.slip_likelihood, twice.slip_likelihood)
         np.testing.assert_array_equal(once.learned_friction, twice.learned_friction)
@@ -341,12 +341,12 @@ def test_a_tick_that_comes_twice_changes_nothing():
 
 @pytest.mark.parametrize("late", [1, 8])
 def test_a_rejected_touch_changes_neither_the_grasp_force_nor_what_was_learned(late):
-    """Afterwards the friction is that of a hand that has felt nothing false, and k_f no lower."""
+    """Afterwards the friction is that of a hand without the false forces, and k_f no lower."""
     config = {"mode": "auto", "maximum": 60.0}
     misled, blind = regulator(**config), regulator(**config)
-    wrong = FELT * np.array([[-3.0, 3.0, -3.0], [1.0, 1.0, 1.0], [1.0, 1.0, 1.0]])
+    wrong = FORCES * np.array([[-3.0, 3.0, -3.0], [1.0, 1.0, 1.0], [1.0, 1.0, 1.0]])
     for slip in (misled, blind):
-        feel(slip, 300)
+        run(slip, 300)
     for i in range(300, 300 + late):
         misled.step(i * TICK, three_faces(), wrong)
     held = misled.grasp_force
@@ -358,8 +358,8 @@ def test_a_rejected_touch_changes_neither_the_grasp_force_nor_what_was_learned(l
     misled.reject_touch(False)
     random = np.random.default_rng(8)
     for i in range(550, 2000):
-        felt = FELT + 0.005 * random.standard_normal((3, 3))
-        misled.step(i * TICK, three_faces(), felt), blind.step(i * TICK, three_faces(), felt)
+        forces = FORCES + 0.005 * random.standard_normal((3, 3))
+        misled.step(i * TICK, three_faces(), forces), blind.step(i * TICK, three_faces(), forces)
         assert misled.grasp_force >= blind.grasp_force - 1e-6
     assert misled.needed == pytest.approx(blind.needed, rel=0.05)
     np.testing.assert_allclose(misled.learned_friction, blind.learned_friction, rtol=0.05)
@@ -368,24 +368,25 @@ def test_a_rejected_touch_changes_neither_the_grasp_force_nor_what_was_learned(l
 def test_a_rejected_touch_leaves_neither_friction_nor_load_behind():
     """A false slip lowers the friction and a false load raises the margin; both are taken back."""
     slip, random = regulator(mode="auto", maximum=200.0), np.random.default_rng(3)
-    feel(slip, 300)
+    run(slip, 300)
     known, ready = slip.learned_friction, slip.ready
     for i in range(300, 310):
-        shaken = 4.0 * FELT * [0.2, 1.0, 0.2] + 0.4 * random.standard_normal((3, 3))
+        shaken = 4.0 * FORCES * [0.2, 1.0, 0.2] + 0.4 * random.standard_normal((3, 3))
         slip.step(i * TICK, three_faces(), shaken)
     assert (slip.learned_friction < 0.9 * known).any()
     slip.reject_touch(True)
     np.testing.assert_allclose(slip.learned_friction, known, rtol=0.01)
-    slip.step(310 * TICK, three_faces(), FELT)
+    slip.step(310 * TICK, three_faces(), FORCES)
     slip.reject_touch(False)
     for i in range(311, 400):
-        slip.step(i * TICK, three_faces(), FELT)
+        slip.step(i * TICK, three_faces(), FORCES)
     assert slip.ready == pytest.approx(ready, rel=0.03)
 
 
 def test_a_load_that_has_come_while_touch_was_doubted_is_met_at_once():
-    slip, heavy = regulator(mode="auto"), FELT + [[0.0, 0.0, 2.0], [0.0, 0.0, 2.0], [0.0, 0.0, 0.0]]
-    feel(slip, 300)
+    slip = regulator(mode="auto")
+    heavy = FORCES + [[0.0, 0.0, 2.0], [0.0, 0.0, 2.0], [0.0, 0.0, 0.0]]
+    run(slip, 300)
     slip.reject_touch(True)
     for i in range(300, 400):
         before = slip.step(i * TICK, three_faces(), heavy)
@@ -395,9 +396,9 @@ def test_a_load_that_has_come_while_touch_was_doubted_is_met_at_once():
 
 def test_a_skin_that_freezes_while_it_shows_slip_does_not_drive_the_grasp_force_up():
     slip = regulator(mode="auto", maximum=200.0)
-    feel(slip, 300)
+    run(slip, 300)
     for seed in range(100):  # until it is found
-        shaken = FELT + 0.15 * np.random.default_rng(seed).standard_normal((3, 3))
+        shaken = FORCES + 0.15 * np.random.default_rng(seed).standard_normal((3, 3))
         slip.step((300 + seed) * TICK, three_faces(), shaken)
         if SLIP in slip.state:
             break
@@ -409,8 +410,8 @@ def test_a_skin_that_freezes_while_it_shows_slip_does_not_drive_the_grasp_force_
 
 def test_what_is_released_and_grasped_again_may_be_another_object():
     slip = regulator(mode="auto")
-    feel(slip, 300)
-    feel(slip, 20, slides=(0, 1, 2))
+    run(slip, 300)
+    run(slip, 20, slides=(0, 1, 2))
     assert (slip.learned_friction != 0.4).any()
     nothing = Contacts(np.full((3, 3), np.nan), three_faces().rotations)
     slip.step(10**9, nothing, np.full((3, 3), np.nan))
@@ -434,7 +435,7 @@ def test_the_palm_may_be_turned_in_any_way(way):
     for i in range(400):
         contacts = moved(three_faces(), rotation_from_vector([2e-3 * np.sin(i), 0, 0]), np.zeros(3))
         rms = 0.15 if 200 <= i < 215 else 0.005
-        forces = FELT * (1.0 + (i > 300)) + rms * random.standard_normal((3, 3))
+        forces = FORCES * (1.0 + (i > 300)) + rms * random.standard_normal((3, 3))
         palm = in_palm(contacts.rotations, forces, 1.0)
         for slip, turn in zip(slips, (np.eye(3), rotation), strict=True):
             there = turned(contacts, turn)
@@ -451,19 +452,19 @@ def test_the_palm_may_be_turned_in_any_way(way):
 def test_a_regulator_without_a_past_keeps_its_grasp_force_while_touch_is_doubted():
     slip = regulator(mode="auto", grasp_force=7.0)
     slip.reject_touch(True)
-    assert {slip.step(i * TICK, three_faces(), 9.0 * FELT) for i in range(100)} == {7.0}
+    assert {slip.step(i * TICK, three_faces(), 9.0 * FORCES) for i in range(100)} == {7.0}
 
 
 @pytest.mark.parametrize(("mode", "begins"), [("auto", True), ("shared", True), ("user", False)])
-def test_a_new_regulator_begins_with_the_grasp_force_that_it_finds(mode, begins):
+def test_a_new_regulator_starts_with_the_measured_grasp_force(mode, begins):
     """The one before may have died while the hand held with more than what is configured."""
     grasp = three_faces()
-    felt = in_palm(grasp.rotations, FELT, 1.0)
-    measured = split(grasp.positions, grasp.normals, felt).grasp_force
+    forces = in_palm(grasp.rotations, FORCES, 1.0)
+    measured = split(grasp.positions, grasp.normals, forces).grasp_force
     for configured in (0.5 * measured, 2.0 * measured):
         slow = {"rise_rate": 1.0}
         slip = regulator(mode=mode, grasp_force=configured, maximum=10.0 * measured, reflex=slow)
-        slip.step(0, grasp, FELT)
-        first = slip.step(TICK, grasp, FELT)
+        slip.step(0, grasp, FORCES)
+        first = slip.step(TICK, grasp, FORCES)
         expected = max(configured, measured) if begins else configured
         assert first == pytest.approx(expected, rel=0.01)

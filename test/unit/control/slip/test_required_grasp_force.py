@@ -15,11 +15,11 @@ SHARES = np.array([0.5, 0.2, 0.3])
 SHAPE = np.array([[0.0, 0.475, 0.0], [0.0, 0.475, 0.0], [0.0, 0.05, 0.0]])
 WEIGHT = np.array([[0.0, 0.0, 1.0], [0.0, 0.0, 1.0], [0.0, 0.0, 0.0]])
 DT = 0.001
-NO_RESERVE = ReserveConfig(floor=0.0, share=0.0)
+NO_RESERVE = ReserveConfig(floor=0.0, fraction=0.0)
 UP = np.tile([0.0, 1.0, 0.0], (3, 1))
 
 
-def felt(load, force):
+def parts(load, force):
     return Split(load, force, force[:, 1].sum(), 1.0)
 
 
@@ -39,10 +39,10 @@ def step(need, parts, friction=MU, dt=DT, **values):
 def follow(need, load, ticks, force=6.0, noise=0.0, seed=0):
     random = np.random.default_rng(seed)
     shake = noise * random.standard_normal((ticks, 3, 3))
-    return [step(need, felt(load, force * SHAPE + shake[i]))[0] for i in range(ticks)]
+    return [step(need, parts(load, force * SHAPE + shake[i]))[0] for i in range(ticks)]
 
 
-def test_it_is_the_load_over_share_and_friction():
+def test_it_is_the_load_over_fraction_and_friction():
     assert follow(fresh(), WEIGHT, 10)[-1] == pytest.approx(1.0 / (0.475 * 0.5))
 
 
@@ -58,7 +58,7 @@ def test_a_shape_outside_its_cone_is_no_help():
     load = WEIGHT.copy()
     outside = SHAPE + np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 0.0], [0.04, 0.0, 0.0]])
     load[2] = [0.5, 0.0, 0.0]
-    assert np.isinf(step(fresh(), felt(load, 6.0 * outside), dt=0.0)[0])
+    assert np.isinf(step(fresh(), parts(load, 6.0 * outside), dt=0.0)[0])
 
 
 def test_reset_forgets():
@@ -75,7 +75,7 @@ def ramped(finger, rate, ticks=100):
     load = np.zeros((3, 3))
     for i in range(ticks):
         load[finger] = (1.0 + rate * DT * i) * np.array([0.6, 0.0, 0.8])
-        needed, _ = step(need, felt(load, 6.0 * shape), OWN, DT if i else 0.0)
+        needed, _ = step(need, parts(load, 6.0 * shape), OWN, DT if i else 0.0)
     return needed
 
 
@@ -90,19 +90,19 @@ def test_what_will_be_there_after_the_lead_counts(finger, rate):
 def test_a_shape_is_followed_slowly():
     """After 10 ms of 1 ms ticks, with a time constant of 30 ms; a firmer sample counts for more."""
     need, load = fresh(), np.array([[0.0, 0.0, 1.0], [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
-    step(need, felt(load, 6.0 * SHARES[:, None] * [0.0, 1.0, 0.0]), OWN, 0.0)
+    step(need, parts(load, 6.0 * SHARES[:, None] * [0.0, 1.0, 0.0]), OWN, 0.0)
     other = np.array([0.2, 0.3, 0.5])
     for _ in range(10):
-        needed, _ = step(need, felt(load, 4.0 * other[:, None] * [0.0, 1.0, 0.0]), OWN)
+        needed, _ = step(need, parts(load, 4.0 * other[:, None] * [0.0, 1.0, 0.0]), OWN)
     then = np.exp(-10.0 / 30.0)
     share = (4.0 * 0.2 * (1.0 - then) + 6.0 * 0.5 * then) / (4.0 * (1.0 - then) + 6.0 * then)
     assert needed == pytest.approx(1.0 / (0.4 * share))
 
 
-def test_where_no_time_has_passed_what_is_felt_counts_as_it_is():
+def test_where_no_time_has_passed_forces_count_unfiltered():
     need = fresh()
     follow(need, 3.0 * WEIGHT, 20)
-    needed, _ = step(need, felt(WEIGHT, 6.0 * SHAPE), dt=0.0)
+    needed, _ = step(need, parts(WEIGHT, 6.0 * SHAPE), dt=0.0)
     assert needed == pytest.approx(1.0 / (0.475 * 0.5))
 
 
@@ -115,7 +115,7 @@ def test_the_law_does_not_depend_on_the_rate_of_the_ticks(rate):
         for dt in steps / rate:
             time += dt
             load = np.array([[0.0, 0.0, 1.0 + 8.0 * time], [0.0] * 3, [0.0] * 3])
-            needed, _ = step(need, felt(load, 6.0 * SHAPE), dt=dt)
+            needed, _ = step(need, parts(load, 6.0 * SHAPE), dt=dt)
         foreseen = 1.0 + 8.0 * time
         assert needed * 0.475 * 0.5 == pytest.approx(foreseen, abs=8.0 * 0.016)
         assert needed * 0.475 * 0.5 > foreseen
@@ -123,8 +123,8 @@ def test_the_law_does_not_depend_on_the_rate_of_the_ticks(rate):
 
 def at_once(**reserve):
     """Return a need whose reserve is there from the next sample on."""
-    need = required(**{"share": 0.0, **reserve})
-    step(need, felt(0.0 * WEIGHT, 6.0 * SHAPE), dt=1.0)
+    need = required(**{"fraction": 0.0, **reserve})
+    step(need, parts(0.0 * WEIGHT, 6.0 * SHAPE), dt=1.0)
     return need
 
 
@@ -132,30 +132,31 @@ def test_with_a_reserve_every_load_within_its_radius_finds_the_grasp_force_ready
     """Checked by brute force: loads on a sphere about the present one."""
     need = at_once(floor=1.5)
     shape = SHARES[:, None] * [0.0, 1.0, 0.0]
-    bare, ready = step(need, felt(WEIGHT, 6.0 * shape), OWN, 0.0)
+    bare, ready = step(need, parts(WEIGHT, 6.0 * shape), OWN, 0.0)
     random = np.random.default_rng(0)
     ways = random.standard_normal((4000, 3, 3))
     ways *= 0.5 / np.linalg.norm(ways, axis=2, keepdims=True)
-    least = max(step(fresh(), felt(WEIGHT + way, 6.0 * shape), OWN, 0.0)[0] for way in ways[:1000])
-    assert bare < least <= ready
-    assert ready == pytest.approx(least, rel=0.02)
+    loads = (parts(WEIGHT + way, 6.0 * shape) for way in ways[:1000])
+    smallest = max(step(fresh(), load, OWN, 0.0)[0] for load in loads)
+    assert bare < smallest <= ready
+    assert ready == pytest.approx(smallest, rel=0.02)
 
 
 def test_the_reserve_follows_the_largest_load_of_the_recent_past():
-    need = required(floor=0.0, share=0.3)
+    need = required(floor=0.0, fraction=0.3)
     for _ in range(100):
-        step(need, felt(5.0 * WEIGHT, 6.0 * SHAPE))
-    soon = np.diff(step(need, felt(WEIGHT, 6.0 * SHAPE), dt=0.2))
+        step(need, parts(5.0 * WEIGHT, 6.0 * SHAPE))
+    soon = np.diff(step(need, parts(WEIGHT, 6.0 * SHAPE), dt=0.2))
     np.testing.assert_allclose(need.reserve, [1.5 * np.exp(-0.04)] * 2 + [0.0])
     for _ in range(3000):
-        later = np.diff(step(need, felt(WEIGHT, 6.0 * SHAPE), dt=0.01))
+        later = np.diff(step(need, parts(WEIGHT, 6.0 * SHAPE), dt=0.01))
     shift = np.sqrt(1.0 + 1.0 / 0.25) / 0.475
     assert later == pytest.approx(0.3 * shift, rel=1e-6)
     assert soon == pytest.approx(5.0 * np.exp(-0.04) * 0.3 * shift, rel=1e-6)
 
 
-def test_the_usable_friction_is_for_loads_that_are_felt_and_not_for_those_of_the_reserve():
-    load = felt(3.0 * WEIGHT, 6.0 * SHAPE)
+def test_the_usable_friction_is_for_measured_loads_and_not_for_the_reserve():
+    load = parts(3.0 * WEIGHT, 6.0 * SHAPE)
     need = at_once(floor=0.03)
     needed, ready = step(need, load, 1.2 * MU, 0.0, usable=MU)
     assert needed == ready == pytest.approx(follow(fresh(), 3.0 * WEIGHT, 1)[-1])
@@ -171,17 +172,17 @@ def test_of_a_grasp_that_is_not_whole_only_the_load_is_followed():
         follow(each, WEIGHT, 20)
     gone = 6.0 * SHAPE * [[1.0], [1.0], [0.0]]
     for _ in range(30):
-        found = step(need, felt(2.0 * WEIGHT, gone), grasped=False)
-        expected = step(whole, felt(2.0 * WEIGHT, 6.0 * SHAPE))
+        found = step(need, parts(2.0 * WEIGHT, gone), grasped=False)
+        expected = step(whole, parts(2.0 * WEIGHT, 6.0 * SHAPE))
     assert found[0] == pytest.approx(expected[0], rel=1e-12)
 
 
 def test_the_margin_of_load_is_the_larger_of_its_floor_and_a_fraction_of_the_recent_load():
-    need = required(floor=0.6, share=0.5)
+    need = required(floor=0.6, fraction=0.5)
     load = np.array([[0.3, 0.0, 0.4], [0.0, 0.1, 0.0], [0.0, 0.0, 4.0]])
-    step(need, felt(load, 6.0 * SHAPE), dt=0.0)
+    step(need, parts(load, 6.0 * SHAPE), dt=0.0)
     np.testing.assert_allclose(need.reserve, [0.25, 0.2, 2.0])
-    step(need, felt(0.0 * load, 6.0 * SHAPE), dt=2.0)
+    step(need, parts(0.0 * load, 6.0 * SHAPE), dt=2.0)
     np.testing.assert_allclose(need.reserve, [0.2, 0.2, 2.0 * math.exp(-0.4)])
 
 
@@ -190,13 +191,13 @@ CARRIED = WEIGHT + np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 0.0], [0.1, 0.0, 0.0]])
 
 def reserves(need, ticks, load=CARRIED, first=0):
     """Return what is needed and what is ready at each tick, shape (ticks, 2)."""
-    now = felt(load, 6.0 * SHAPE)
+    now = parts(load, 6.0 * SHAPE)
     return np.array([step(need, now, dt=DT if first + i else 0.0) for i in range(ticks)])
 
 
 def test_the_reserve_of_a_new_grasp_rises_over_its_time():
     """In even steps, from nothing to all of it, and the need is there immediately."""
-    need = required(floor=3.0, share=0.0)
+    need = required(floor=3.0, fraction=0.0)
     needed, ready = reserves(need, 200).T
     full = reserves(at_once(floor=3.0), 200)[:, 1]
     np.testing.assert_array_equal(needed, reserves(fresh(), 200)[:, 0])
@@ -220,7 +221,7 @@ def test_a_load_that_comes_before_the_reserve_is_answered_as_fast_as_one_that_co
 
 def test_what_is_there_of_a_reserve_never_rises_slowly_again_while_the_grasp_lasts():
     """After its time another load, and another radius, count immediately."""
-    need, at = required(), at_once(share=0.2)
+    need, at = required(), at_once(fraction=0.2)
     for each in (need, at):
         reserves(each, 101)
     first = [reserves(each, 50, 9.0 * CARRIED, first=101) for each in (need, at)]

@@ -53,7 +53,7 @@ def fresh(**values):
 
 
 @pytest.mark.parametrize(("needed", "fall"), [(5.9, 1.0), (5.5, 1.0), (5.4, 1.2), (1.0, 10.0)])
-def test_it_falls_by_its_least_rate_or_a_share_of_the_excess(needed, fall):
+def test_it_falls_by_its_minimum_rate_or_a_fraction_of_the_excess(needed, fall):
     reflex = fresh(release_rate=1.0, release_time=0.5)
     assert step(reflex, needed) == pytest.approx(START - 0.0125 * fall, rel=1e-12)
     for _ in range(2):
@@ -82,7 +82,7 @@ def test_over_a_pause_it_doubles_twice_at_most(dt, growth):
     assert step(reflex, slips=True, slides=True, dt=dt) == pytest.approx(growth * 1.5 * START)
 
 
-def test_a_slide_grows_from_the_present_grasp_force_and_another_begins_again():
+def test_a_slide_grows_from_the_present_grasp_force_and_another_starts_again():
     reflex = fresh(first_rise=1.5, release_time=0.5, release_rate=1.0)
     assert step(reflex, 10.0) == 10.0
     grown = 10.0 * 2.0**1.25  # it doubles every 10 ms
