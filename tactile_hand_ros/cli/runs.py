@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import json
 import sys
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -17,7 +16,6 @@ from tactile_hand_ros.cli.output import (
     NamespaceOption,
     bar,
     check_writable,
-    console,
     print_table,
 )
 from tactile_hand_ros.command_options import with_options
@@ -33,33 +31,6 @@ RunArgument = Annotated[
 LATEST = Path("runs/latest")
 
 
-def figures(
-    run: RunArgument = LATEST,
-    out: Annotated[
-        Path | None, typer.Option(help="Folder; by default figures/ in the run.")
-    ] = None,
-    namespace: NamespaceOption = None,
-) -> None:
-    """Draw the paper's Fig. 2, 3 and 4 from a recorded run, as PNG and SVG."""
-    from tactile_hand_ros.report.figures import friction_figure, motion_figure
-    from tactile_hand_ros.report.style import save
-
-    opened = _open(run, namespace)
-    folder = out or opened.folder / "figures"
-    check_writable(folder)
-    drawn = {"fig3": motion_figure(opened.record), "fig4": friction_figure({"": opened.record})}
-    if opened.scenario is not None:
-        from tactile_hand_ros.report.scene import grasp_figure
-
-        drawn["fig2"] = grasp_figure(opened.record, opened.scenario)
-    for name, figure in sorted(drawn.items()):
-        for file in save(figure, folder, name):
-            print(file)
-    if opened.scenario is None:
-        text = "No scenario is known, so Fig. 2 (hand and object in space) was left out."
-        print(text, file=sys.stderr)
-
-
 def report(
     run: RunArgument = LATEST,
     out: Annotated[Path | None, typer.Option(help="Folder; by default that of the run.")] = None,
@@ -70,50 +41,18 @@ def report(
 
     if out is not None:
         check_writable(out)
-    _print_page(write_report(_open(run, namespace), out))
-
-
-def compare(
-    runs: Annotated[list[Path], typer.Argument(help="Two or more runs or bags.")],
-    out: Annotated[Path, typer.Option(help="Folder for comparison.html.")] = Path("."),
-    namespace: NamespaceOption = None,
-) -> None:
-    """Lay runs over each other: one page with their plots, and their metrics side by side."""
-    from tactile_hand_ros.report import tables
-    from tactile_hand_ros.report.facts import differing, labels
-    from tactile_hand_ros.report.page import COMPARISON, write_comparison
-
-    if len(runs) < 2:
-        raise TactileHandError(f"{len(runs)} run was given, expected two or more to compare.")
-    check_writable(out)
-    opened = [_open(run, namespace) for run in runs]
-    file = write_comparison(opened, out / COMPARISON)
-    names = [f"{number}: {label}" for number, label in enumerate(labels(opened), 1)]
-    if settings := differing(opened):
-        print_table("settings that differ", ("", *names), settings)
-    rows = [["", *(each.headline for each in opened)]]
-    rows += tables.side_by_side([tables.metrics_rows(each.metrics) for each in opened])
-    print_table("runs", ("", *names), rows)
-    _print_page(file)
+    file = write_report(_open(run, namespace), out)
+    print(f"{file}  {1e-6 * file.stat().st_size:.1f} MB")
 
 
 def summary(
     run: RunArgument = LATEST,
     namespace: NamespaceOption = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
 ) -> None:
     """Print what a recorded run achieved, and whether its recording is complete."""
     opened = _open(run, namespace)
     if opened.assumptions_problem:
         print(f"note: {opened.assumptions_problem}", file=sys.stderr)
-    if as_json:
-        results = {
-            "metrics": opened.metrics.to_dict(),
-            "assumptions": [line.to_dict() for line in opened.assumptions],
-            "bag": opened.bag_metrics.to_dict(),
-        }
-        print(json.dumps(results, indent=2))
-        return
     from tactile_hand_ros.report import tables
 
     name = opened.scenario.name if opened.scenario else "unknown scenario"
@@ -133,11 +72,6 @@ def _open(path: Path, namespace: str | None) -> Run:
         text = f"note: without its scenario, which does not fit: {opened.scenario_problem}"
         print(text, file=sys.stderr)
     return opened
-
-
-def _print_page(file: Path) -> None:
-    """Print where a page is, and its size."""
-    console().print(f"{file}  {1e-6 * file.stat().st_size:.1f} MB", soft_wrap=True, markup=False)
 
 
 @dataclass(frozen=True)
@@ -260,4 +194,4 @@ def recover(
     print(f"recovered {counted(new.messages, 'message')} to {new.target}; {lost}")
 
 
-COMMANDS = (figures, report, compare, summary, recover, replay)
+COMMANDS = (report, summary, recover, replay)

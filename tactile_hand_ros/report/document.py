@@ -21,7 +21,6 @@ from tactile_hand_ros.run.result import RunData
 Array = NDArray[np.float64]
 Rows = NDArray[np.int64]
 
-FORMAT = 1
 MAX_BYTES = 2_900_000
 """Room for the arrays of a page before base64, so that it stays below 5 MB."""
 MAX_EVENTS = 400
@@ -30,32 +29,7 @@ _CODES = {"time": "f8", "grip": "u1"}  # for the time of a long run 24 bits are 
 _BYTES = {"f8": 8, "f4": 4, "u1": 1}
 
 
-def page_document(
-    kind: str, runs: list[dict[str, Any]], settings: Sequence[Sequence[str]] = ()
-) -> dict[str, Any]:
-    """Return the document of a page.
-
-    Args:
-        kind: ``run`` or ``comparison``.
-        runs: What `run_document` gave for each.
-        settings: Rows of the settings in which they differ.
-    """
-    palette = {
-        "ink": style.INK,
-        "faint": style.FAINT,
-        "axes": [style.axis_color(i) for i in range(3)],
-        "runs": [style.finger_color(i) for i in range(len(runs))],
-    }
-    return {
-        "format": FORMAT,
-        "kind": kind,
-        "palette": palette,
-        "runs": runs,
-        "settings": [list(row) for row in settings],
-    }
-
-
-def run_document(run: RunData, *, room: int = MAX_BYTES, label: str = "") -> dict[str, Any]:
+def run_document(run: RunData, *, room: int = MAX_BYTES) -> dict[str, Any]:
     """Return everything the page needs to know of a run, as plain data for JSON.
 
     All ticks are shown where there is room, of a longer run a choice of them, see `ticks.shown`.
@@ -63,7 +37,6 @@ def run_document(run: RunData, *, room: int = MAX_BYTES, label: str = "") -> dic
     Args:
         run: The run.
         room: How many bytes the arrays may take before base64.
-        label: What a comparison calls it, by default its name.
 
     Raises:
         BagError: If the bag is damaged or has no tick.
@@ -79,7 +52,6 @@ def run_document(run: RunData, *, room: int = MAX_BYTES, label: str = "") -> dic
     broken, breaking = [first for first, _ in around], {*plots} - {"time", "grip"}
     return {
         "name": run.name,
-        "label": label or run.name,
         "gaps": [[float(record.times[row]) for row in pair] for pair in around],
         "description": run.scenario.description if run.scenario else "",
         "recorded": _date(run),

@@ -133,13 +133,6 @@ def bag_rows(b: BagMetrics) -> list[list[str]]:
     return rows + [[f"  {topic}", "absent"] for topic in b.absent]
 
 
-def side_by_side(tables: Sequence[Rows]) -> list[list[str]]:
-    """Join tables of name and value into one with a column of values for each."""
-    values = [{row[0]: row[1] for row in rows} for rows in tables]
-    names = list(dict.fromkeys(name for each in values for name in each))
-    return [[name, *(each.get(name, "") for each in values)] for name in names]
-
-
 def rich_table(title: str, columns: Sequence[str], rows: Rows = ()) -> Table:
     """Return a table for the terminal.
 

@@ -29,7 +29,6 @@ from support.recorded import (
 
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
 from tactile_hand_ros.report.document import pack, run_document, shown
-from tactile_hand_ros.report.facts import differing, labels
 from tactile_hand_ros.report.page import MOST_EARLIER, Result, write_report
 from tactile_hand_ros.run.metrics import json_ready
 from tactile_hand_ros.run.run import Run
@@ -251,17 +250,6 @@ def test_the_hand_that_was_recorded_is_drawn(tmp_path: Path) -> None:
     tree = run_document(Run(tmp_path / "bag"))["hand"]
     assert [link["xyz"][0] for link in tree["links"]] == [0.0, 0.5]
     assert tree["tips"] == [{"link": 1, "finger": "", "radius": 0.02}]
-
-
-def test_runs_of_one_scenario_are_labeled_by_their_folders(tmp_path: Path) -> None:
-    def run(folder: str, **changes: Any) -> Run:
-        told = {"scenario": resolved(load_scenario("pull", changes))}
-        return Run(write_record(tmp_path / folder, random_record(3), custom_data=told))
-
-    auto, user = run("auto"), run("user", **{"slip_regulator.mode": "user"})
-    assert differing([auto, user]) == [["slip_regulator.mode", "auto", "user"]]
-    assert labels([auto, user]) == ["pull (auto)", "pull (user)"]
-    assert labels([auto]) == ["pull"]
 
 
 if __name__ == "__main__":

@@ -14,7 +14,7 @@ from support.recorded import random_record, write_record
 from tactile_hand_ros.cli import app as cli
 from tactile_hand_ros.errors import TactileHandError
 from tactile_hand_ros.report.document import run_document
-from tactile_hand_ros.report.page import write_comparison, write_report
+from tactile_hand_ros.report.page import write_report
 from tactile_hand_ros.run.run import Run
 from tactile_hand_ros.scenario.scenario import load_scenario, resolved
 
@@ -88,14 +88,6 @@ class TestPage:
         with pytest.raises(TactileHandError, match="cannot be written"):
             write_report(run, tmp_path)
 
-    def test_of_several_runs_has_each(self, run: Run, tmp_path: Path) -> None:
-        other = Run(write_record(tmp_path / "other", random_record(30, seed=5)))
-        file = write_comparison([run, other], tmp_path / "both.html")
-        document = Parts(file.read_text(encoding="utf-8")).document
-        assert document["kind"] == "comparison"
-        assert [each["ticks"] for each in document["runs"]] == [40, 30]
-
-
 class TestCommands:
     def test_report_writes_beside_the_bag(
         self, run: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str]
@@ -105,11 +97,3 @@ class TestCommands:
         out = capsys.readouterr().out
         assert str(tmp_path / "report.html") in out.replace("\n", "") and " MB" in out
 
-    def test_compare_prints_metrics_side_by_side(
-        self, run: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-    ) -> None:
-        bag = str(run.bag)
-        assert cli.main(["compare", bag, bag, "--out", str(tmp_path / "out")]) == 0
-        assert (tmp_path / "out" / "comparison.html").is_file()
-        out = capsys.readouterr().out
-        assert "1: " in out and out.count("(bag)") == 2 and "peak joint rate" in out

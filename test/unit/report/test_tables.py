@@ -123,8 +123,6 @@ def test_recoveries_are_rows_and_tables_stand_side_by_side() -> None:
         ["event at 2 s", "10 mm away, back after 0.50 s"],
         ["event at 5 s", "20 mm away, not back"],
     ]
-    joined = tables.side_by_side([[["a", "1"], ["b", "2"]], [["c", "3"], ["a", "4"]]])
-    assert joined == [["a", "1", "4"], ["b", "2", ""], ["c", "", "3"]]
     assert (
         tables.markdown(["x", "y"], [["a|b", "c"]]) == "| x | y |\n| --- | --- |\n| a\\|b | c |\n"
     )
