@@ -95,7 +95,6 @@ def all_tables(run: RunData) -> list[dict[str, Any]]:
         versions.append(["seed", str(run.scenario.seed)])
     found = [
         {"title": "Metrics", "rows": tables.metrics_rows(run.metrics)},
-        {"title": "After each disturbance", "rows": tables.recovery_rows(run.recoveries)},
         {"title": "Recording", "rows": _recording_rows(run)},
         {"title": "Versions and seed", "rows": versions},
     ]
