@@ -57,8 +57,7 @@ def summary(
 
     name = opened.scenario.name if opened.scenario else "unknown scenario"
     columns = ("", "")
-    rows = tables.metrics_rows(opened.metrics) + tables.recovery_rows(opened.recoveries)
-    print_table(f"{name}, {opened.path}", columns, rows)
+    print_table(f"{name}, {opened.path}", columns, tables.metrics_rows(opened.metrics))
     if lines := tables.assumption_rows(opened.assumptions):
         print_table("assumptions", tables.ASSUMPTION_COLUMNS, lines)
     print_table("recording", columns, tables.bag_rows(opened.bag_metrics))
@@ -97,26 +96,23 @@ class ReplayRequest:
         bool,
         typer.Option("--recompute", help="Publish nothing: ask the controllers again, compare."),
     ] = False
-    changes: Annotated[
-        list[str],
-        typer.Option(
-            "--set", metavar="KEY=VALUE", help="With --recompute: another value of the scenario."
-        ),
-    ] = field(default_factory=list)
+    law: Annotated[
+        str, typer.Option(help="With --recompute: another law, or your own, as MODULE:CLASS.")
+    ] = ""
 
 
 @with_options
 def replay(request: ReplayRequest) -> None:
     """Publish a bag as it was recorded, or recompute it. Ctrl-C stops it.
 
-    Exit code of --recompute as recorded: 0 if all is the same to the bit, 1 if not. A law of your
-    own is imported only if you name it here, by --set law=MODULE:CLASS.
+    Exit code of --recompute: 0 if all is the same to the bit, 1 if not. A law of your
+    own is imported only if you name it here, by --law MODULE:CLASS.
     """
     if request.recompute:
         _recompute(request)
         return
-    if request.changes:
-        raise TactileHandError("--set was given, expected --recompute too.")
+    if request.law:
+        raise TactileHandError("--law was given, expected --recompute too.")
     from tactile_hand_ros.bag.reader import find_bag
 
     if not 0.0 < request.rate < float("inf"):
@@ -126,18 +122,14 @@ def replay(request: ReplayRequest) -> None:
 
 def _recompute(request: ReplayRequest) -> None:
     """Ask the controllers again, and compare their answers with those in the bag."""
-    from tactile_hand_ros.config.plain_yaml import parse_changes
     from tactile_hand_ros.run.run import Run
     from tactile_hand_ros.verify import recompute as r
 
-    run = Run(request.bag, namespace=request.namespace or None)
-    values = parse_changes(request.changes, "force_optimizer.cones=false")
-    recorded = {"law": r.scenario_of(run).manipulation_controller.law.name}
-    result = r.recompute(run, values)
+    result = r.recompute(Run(request.bag, namespace=request.namespace or None), request.law)
     print_table("recorded and recomputed", r.COLUMNS, [each.row for each in result.comparisons])
-    if values in ({}, recorded) and not result.same:
-        text = "The same configuration gave other answers: messages were lost, see `tactile-hand "
-        print(f"{text}summary`, or code or libraries are of other versions.", file=sys.stderr)
+    if not result.same:
+        text = "The answers differ: the law is another one, messages were lost (see `tactile-hand "
+        print(f"{text}summary`), or code or libraries are of other versions.", file=sys.stderr)
         raise typer.Exit(EXIT_DIFFERS)
 
 
