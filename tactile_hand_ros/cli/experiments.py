@@ -59,15 +59,9 @@ class SweepOptions:
         list[str],
         typer.Option("--set", metavar="KEY=VALUE", help="What stays fixed, as duration=2."),
     ] = field(default_factory=list)
-    runs: Annotated[int, typer.Option(help="Number of runs.", min=1)] = 100
-    sampler: Annotated[str, typer.Option(help="grid, latin, sobol or random.")] = ""
-    metric: Annotated[
-        list[str],
-        typer.Option(
-            help="outcome, slip, error, peak_force, margin or settling_time; may be repeated. By "
-            "default all."
-        ),
-    ] = field(default_factory=list)
+    runs: Annotated[
+        int, typer.Option(help="Number of runs, where a range has no levels.", min=1)
+    ] = 100
     seed: SeedOption = 0
     jobs: JobsOption = -1
     cluster: Annotated[str, typer.Option(help="Dask scheduler, as tcp://127.0.0.1:8786.")] = ""
@@ -82,8 +76,8 @@ def sweep(options: SweepOptions) -> None:
     """
     from tactile_hand_ros.config.plain_yaml import parse_changes
     from tactile_hand_ros.report.style import save
-    from tactile_hand_ros.sweep import results as tables
     from tactile_hand_ros.sweep.engine import workers
+    from tactile_hand_ros.sweep.results import Results, figure, summary_tables, write_summary
     from tactile_hand_ros.sweep.sweep import make_sweep
     from tactile_hand_ros.sweep.table import keep, read_table
 
@@ -92,8 +86,6 @@ def sweep(options: SweepOptions) -> None:
         options.scenario,
         options.over,
         parse_changes(options.changes),
-        options.metric,
-        sampler=options.sampler,
         runs=options.runs,
         seed=options.seed,
     )
@@ -101,14 +93,12 @@ def sweep(options: SweepOptions) -> None:
     with workers(options.jobs, options.cluster), progress(options.scenario) as watch:
         tally = keep(study, out, watch)
     print(tally)
-    results = tables.Results(study, read_table(out))
-    drawn = tables.figure(results)
+    results = Results(study, read_table(out))
+    drawn = figure(results)
     pictures = [] if drawn is None else save(drawn, out, "metrics")[:1]
-    page = tables.write_summary(results, out, pictures)
-    print_table("outcomes", tables.FRACTION_COLUMNS, tables.fraction_rows(results))
-    print_table("metrics", tables.METRIC_COLUMNS, tables.metric_rows(results))
-    if rows := tables.effect_rows(results):
-        print_table("what it depends on most", tables.EFFECT_COLUMNS, rows[:10])
+    page = write_summary(results, out, pictures)
+    for columns, rows in summary_tables(results):
+        print_table("", columns, rows)
     print(f"{page} and runs.csv")
 
 
@@ -133,11 +123,7 @@ def reproduce(
     check_writable(out)
     with steps("running the paper", len(layouts) * len(EXPERIMENTS)) as advance, workers(jobs):
         results = r.reproduce(layouts, duration, advance)
-    with steps("drawing", len(results)) as advance:
-        files = []
-        for result in results:
-            files += r.draw(result, out)
-            advance(result.layout)
+    files = [file for result in results for file in r.draw(result, out)]
     files += r.write(results, out)
     for result in results:
         console().print(r.claim_table(result))

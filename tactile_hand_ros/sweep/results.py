@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a sweep shows: fractions, medians and sensitivities, as numbers, a page and a figure."""
+"""What a sweep shows: fractions and medians, as numbers, a page and a figure."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from tactile_hand_ros.report import tables
 from tactile_hand_ros.report.style import PAGE, finger_color, look, new_figure
 from tactile_hand_ros.sweep.engine import OUTCOMES, REACHED, Study
 from tactile_hand_ros.sweep.space import Choice, Range
-from tactile_hand_ros.sweep.sweep import ScenarioRun
+from tactile_hand_ros.sweep.sweep import METRICS, ScenarioRun
 from tactile_hand_ros.sweep.table import Table
 
 if TYPE_CHECKING:
@@ -76,7 +76,6 @@ class Results:
         study: What was asked.
         table: All columns.
         parameters: The parameters that are numbers, by path.
-        metrics: The columns that were asked for.
         scenario: Name of the scenario.
     """
 
@@ -85,7 +84,7 @@ class Results:
         self.study, self.table = study, table
         self.parameters = {path: p for path, p in study.space.items() if _is_number(p)}
         assert isinstance(study.run, ScenarioRun)
-        self.metrics, self.scenario = list(study.run.columns), study.run.base.name
+        self.scenario = study.run.base.name
 
     def column(self, name: str) -> Any:
         """Return a column; ``reached`` is 1 where the goal was reached, else 0."""
@@ -102,18 +101,8 @@ class Results:
 
     def medians(self) -> list[tuple[str, int, Interval]]:
         """Return metric, number of runs that know it, and median with bootstrap interval."""
-        columns = {name: self.column(name) for name in self.metrics}
+        columns = {name: self.column(name) for name in METRICS}
         return [(n, int(np.isfinite(c).sum()), median_interval(c)) for n, c in columns.items()]
-
-    def effects(self) -> list[tuple[str, str, float]]:
-        """Return parameter, metric or ``reached``, and rank correlation; the strongest first."""
-        every = [
-            (path, name, _correlation(self.column(path), self.column(name)))
-            for name in (REACHED, *self.metrics)
-            for path in self.parameters
-        ]
-        known = [effect for effect in every if not math.isnan(effect[2])]
-        return sorted(known, key=lambda effect: -abs(effect[2]))
 
 
 def _is_number(parameter: Any) -> bool:
@@ -121,38 +110,23 @@ def _is_number(parameter: Any) -> bool:
     return all(isinstance(v, int | float) and not isinstance(v, bool) for v in values)
 
 
-def _correlation(x: Array, y: Array) -> float:
-    """Return Spearman's rank correlation; NaN where it is not known."""
-    known = np.isfinite(y)
-    if known.sum() < 4 or not np.ptp(x[known]) or not np.ptp(y[known]):
-        return math.nan
-    return float(optional("scipy.stats", "A rank correlation").spearmanr(x[known], y[known])[0])
-
-
 SUMMARY = "summary.md"
-FRACTION_COLUMNS = ("outcome", "runs", "fraction", "95 % interval")
-EFFECT_COLUMNS = ("parameter", "metric", "rank correlation")
-METRIC_COLUMNS = ("metric", "runs", "median", "95 % interval")
 
 
-def fraction_rows(results: Results) -> list[list[str]]:
-    """Return outcomes as text, columns as in `FRACTION_COLUMNS`."""
-    return [
-        [outcome, f"{count} of {runs}", *_texts(fraction, _percent)]
+def summary_tables(results: Results) -> list[tuple[tuple[str, ...], list[list[str]]]]:
+    """Return columns and rows of the outcomes and of the metrics, as text."""
+    outcomes = [
+        [outcome, f"{count} of {runs}", *_texts(fraction, lambda x: f"{100 * x:.1f} %")]
         for outcome, count, runs, fraction in results.fractions()
     ]
-
-
-def metric_rows(results: Results) -> list[list[str]]:
-    """Return metrics as text, columns as in `METRIC_COLUMNS`."""
-    return [
-        [name, str(count), *_texts(median, _number)] for name, count, median in results.medians()
+    metrics = [
+        [name, str(count), *_texts(median, lambda x: f"{x:.3g}")]
+        for name, count, median in results.medians()
     ]
-
-
-def effect_rows(results: Results) -> list[list[str]]:
-    """Return rank correlations as text, columns as in `EFFECT_COLUMNS`."""
-    return [[parameter, name, _number(value)] for parameter, name, value in results.effects()]
+    return [
+        (("outcome", "runs", "fraction", "95 % interval"), outcomes),
+        (("metric", "runs", "median", "95 % interval"), metrics),
+    ]
 
 
 def write_summary(results: Results, folder: Path, pictures: Sequence[Path]) -> Path:
@@ -160,23 +134,12 @@ def write_summary(results: Results, folder: Path, pictures: Sequence[Path]) -> P
     study = results.study
     text = [
         f"# {results.scenario} over {', '.join(study.space)}\n",
-        f"{study.runs} runs asked for, sampler {study.sampler}, seed {study.seed}. Each row of "
-        "`runs.csv` is a run.\n",
-        tables.markdown(FRACTION_COLUMNS, fraction_rows(results)),
-        tables.markdown(METRIC_COLUMNS, metric_rows(results)),
-        tables.markdown(EFFECT_COLUMNS, effect_rows(results)),
+        f"Seed {study.seed}. Each row of `runs.csv` is a run.\n",
+        *(tables.markdown(*table) for table in summary_tables(results)),
         *(f"![{picture.stem}]({picture.name})\n" for picture in pictures),
     ]
     files.replace_text(folder / SUMMARY, "\n".join(text))
     return folder / SUMMARY
-
-
-def _number(value: float) -> str:
-    return f"{value:.3g}"
-
-
-def _percent(value: float) -> str:
-    return f"{100 * value:.1f} %"
 
 
 def _texts(values: Sequence[float], text: Callable[[float], str]) -> tuple[str, str]:
@@ -194,7 +157,7 @@ def figure(results: Results) -> Figure | None:
     paths = list(results.parameters)[:_MOST_PARAMETERS]
     if not paths or not len(results.table["outcome"]):
         return None
-    names = [name for name in results.metrics if np.isfinite(results.column(name)).any()]
+    names = [name for name in METRICS if np.isfinite(results.column(name)).any()]
     names = names or [REACHED]
     with look():
         made = new_figure(PAGE if len(paths) > 1 else 0.6 * PAGE, 0.5 + 1.5 * len(names))
