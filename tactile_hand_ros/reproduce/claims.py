@@ -12,14 +12,9 @@ from typing import Any, TypeVar
 import numpy as np
 
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
-from tactile_hand_ros.control.contact import hand_jacobian
-from tactile_hand_ros.control.laws import LAWS as CONTROL_LAWS
-from tactile_hand_ros.control.laws import LawInput
-from tactile_hand_ros.hand.hand import Fingertips
 from tactile_hand_ros.run import derived
 from tactile_hand_ros.run.result import RunData
 from tactile_hand_ros.scenario.scenario import Scenario, load_scenario
-from tactile_hand_ros.simulation.plant import Plant
 
 LAYOUTS = ("three_faces", "pinch")
 
@@ -264,26 +259,6 @@ def _kawamura(outcomes: Outcomes) -> Judged:
     )
 
 
-@_claim(
-    "below (10)", "K_p is formed from the gains of (8): the same k_p pulls alike in (8) and (14)."
-)
-def _stiffness(outcomes: Outcomes) -> Judged:
-    eight, fourteen = outcomes["kawamura"].scenario, outcomes["optimal"].scenario
-    fingers = len(outcomes["optimal"].record.finger_names)
-    gain = fourteen.manipulation_controller.law.k_p
-    tips, contacts = (
-        np.diag(translational_stiffness(eight)),
-        translational_stiffness(eight, "contacts"),
-    )
-    other = np.diag(translational_stiffness(fourteen, "contacts"))
-    listed = ", ".join(f"{value:.2f}" for value in np.diag(contacts))
-    return (
-        f"(8) pulls with {tips.mean():.2f} N/m at the tips ({fingers} times k_p) and {listed} N/m "
-        f"(x, y, z) at the contacts, (14) with {other.mean():.2f} N/m",
-        _verdict(bool(np.allclose(np.diag(contacts), gain, rtol=0.01))),
-    )
-
-
 @_claim("Sec. II, (7)", "Moving the virtual frame to its target moves the object there.")
 def _true_orientation(outcomes: Outcomes) -> Judged:
     turned = outcomes["optimal"].metrics.max_object_rotation_in_grasp_rad
@@ -319,36 +294,3 @@ def _millimetres(metres: float) -> str:
 
 def _loss(time: float) -> str:
     return "no contact is lost" if math.isnan(time) else f"a contact is lost at {time:.2f} s"
-
-
-def translational_stiffness(scenario: Scenario, at: str = "tips") -> derived.Array:
-    """Return the force on the object per metre of position error, shape (3, 3), N/m.
-
-    The forces are those whose joint torques equal the drive of the law at the start of the run:
-    at the fingertip centers, where (8) is written, or at the contacts with the object.
-
-    Args:
-        scenario: Hand, object and law.
-        at: ``tips`` or ``contacts``.
-    """
-    plant = Plant(scenario.plant)
-    state, hand = plant.state, plant.hand
-    tips = hand.fingertips(state.theta)
-    config = scenario.manipulation_controller.law
-    law = CONTROL_LAWS[config.name](config, hand.radii)
-    law.seen = LawInput(tips, state.contacts, np.zeros((hand.fingers, 3)), grasp_force=0.0)
-    points = tips.positions if at == "tips" else state.contacts.positions
-    stiffness = np.empty((3, 3))
-    for axis in range(3):
-        wrench = np.zeros(6)
-        wrench[axis] = config.k_p  # of an error of one metre along this axis
-        stiffness[:, axis] = _resultant(tips, points, law.drive(wrench))
-    return stiffness
-
-
-def _resultant(tips: Fingertips, points: derived.Array, torque: derived.Array) -> derived.Array:
-    """Return the sum of the forces at points of the fingertips that joint torques amount to."""
-    jacobian = hand_jacobian(tips, points, np.tile(np.eye(3), (len(points), 1, 1)))
-    jacobian = jacobian.reshape(-1, len(torque))
-    forces = np.linalg.lstsq(jacobian.T, torque, rcond=None)[0]
-    return np.asarray(forces.reshape(-1, 3).sum(axis=0))
