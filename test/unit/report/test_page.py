@@ -88,6 +88,7 @@ class TestPage:
         with pytest.raises(TactileHandError, match="cannot be written"):
             write_report(run, tmp_path)
 
+
 class TestCommands:
     def test_report_writes_beside_the_bag(
         self, run: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str]
@@ -96,4 +97,3 @@ class TestCommands:
         assert (tmp_path / "report.html").is_file()
         out = capsys.readouterr().out
         assert str(tmp_path / "report.html") in out.replace("\n", "") and " MB" in out
-
