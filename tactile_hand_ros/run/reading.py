@@ -71,8 +71,7 @@ class HandTopics:
             types: Types in the bag by full topic name.
 
         Raises:
-            BagError: If one has another type, or there are commands without the ticks at which they
-                took effect.
+            BagError: If one has another type.
         """
         for topic, expected in self.types.items():
             if types.get(topic, expected) != expected:
@@ -80,12 +79,6 @@ class HandTopics:
                     f"The topic {topic} has the type {types[topic]}, expected {expected}; remap it "
                     "or record the right one."
                 )
-        sent, accepted = self.full(names.DESIRED_POSE), self.full(names.ACCEPTED_POSE)
-        if sent in types and accepted not in types:
-            raise BagError(
-                f"The bag has {sent} but not {accepted}, which holds when each pose took effect; "
-                "record it again with this version, and with that topic."
-            )
 
 
 def find_prefix(topics: Iterable[str], namespace: str | None, bag: object) -> str:
