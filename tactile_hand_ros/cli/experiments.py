@@ -70,14 +70,13 @@ class SweepOptions:
 
 @with_options
 def sweep(options: SweepOptions) -> None:
-    """Run a scenario over ranges of its parameters; table, summary and figure.
+    """Run a scenario over ranges of its parameters; table and summary.
 
     After an interruption the same command continues.
     """
     from tactile_hand_ros.config.plain_yaml import parse_changes
-    from tactile_hand_ros.report.style import save
     from tactile_hand_ros.sweep.engine import workers
-    from tactile_hand_ros.sweep.results import Results, figure, summary_tables, write_summary
+    from tactile_hand_ros.sweep.results import Results, summary_tables, write_summary
     from tactile_hand_ros.sweep.sweep import make_sweep
     from tactile_hand_ros.sweep.table import keep, read_table
 
@@ -94,9 +93,7 @@ def sweep(options: SweepOptions) -> None:
         tally = keep(study, out, watch)
     print(tally)
     results = Results(study, read_table(out))
-    drawn = figure(results)
-    pictures = [] if drawn is None else save(drawn, out, "metrics")[:1]
-    page = write_summary(results, out, pictures)
+    page = write_summary(results, out)
     for columns, rows in summary_tables(results):
         print_table("", columns, rows)
     print(f"{page} and runs.csv")
