@@ -13,7 +13,7 @@ from mcap.stream_reader import StreamReader, breakup_chunk
 from rosbags.rosbag2.metadata import dump_qos_v9, parse_qos
 
 from tactile_hand_ros.bag.metadata import RECORD_KEY, RECORD_NAME, BagMetadata, OfferedQos
-from tactile_hand_ros.bag.reader import find_bag, read_messages, summarize
+from tactile_hand_ros.bag.reader import find_bag
 from tactile_hand_ros.bag.schema import MessageDefinition
 from tactile_hand_ros.bag.writer import BagWriter
 from tactile_hand_ros.errors import BagError
@@ -65,14 +65,6 @@ def recover(bag: Path | str, out: Path | str | None = None) -> Recovery:
     except BaseException:  # half a bag would only be in the way of the next attempt
         shutil.rmtree(target, ignore_errors=True)
         raise
-
-
-def is_whole(bag: Path) -> bool:
-    """Return whether nothing is missing in a bag; all of it is read."""
-    try:
-        return sum(1 for _ in read_messages(bag)) == summarize(bag).message_count
-    except BagError:
-        return False
 
 
 def _files_of(bag: Path) -> list[Path]:

@@ -175,13 +175,8 @@ def recover(
 ) -> None:
     """Recover a bag that was cut off, from any recorder."""
     from tactile_hand_ros.bag import recover as r
-    from tactile_hand_ros.bag.reader import find_bag
 
-    found = find_bag(bag)
-    if out is None and r.is_whole(found):
-        print(f"{found} is whole, there is nothing to recover")
-        return
-    new = r.recover(found, out)
+    new = r.recover(bag, out)
     lost = f"{counted(new.left, 'byte')} could not be used" if new.left else "nothing is lost"
     print(f"recovered {counted(new.messages, 'message')} to {new.target}; {lost}")
 
