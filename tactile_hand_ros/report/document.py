@@ -184,9 +184,8 @@ def _date(run: RunData) -> str:
 def shown(count: int, limit: int, signals: Sequence[Array], always: Rows) -> Rows:
     """Choose the ticks to show.
 
-    Up to `limit` ticks are all shown. Of more, the run is cut into equal pieces, and of each the
-    first tick is shown and those at which each signal is largest and smallest, so that no peak is
-    lost to the eye; what room is left goes to ticks at equal distances.
+    Up to `limit` ticks are all shown. Of more, those at equal distances are shown, and of each of
+    many equal pieces those at which a signal is largest and smallest: no peak is lost to the eye.
 
     Args:
         count: Number of ticks.
@@ -199,18 +198,14 @@ def shown(count: int, limit: int, signals: Sequence[Array], always: Rows) -> Row
     """
     if count <= limit:
         return np.arange(count)
-    pieces = max(1, limit // (1 + 2 * len(signals)))
-    edges = np.unique(np.linspace(0, count, pieces + 1).astype(np.int64))
-    rows = [edges[:-1], always, np.array([count - 1])]
-    for signal in signals:
-        low = np.where(np.isnan(signal), np.inf, signal)
-        high = np.where(np.isnan(signal), -np.inf, signal)
-        for start, end in zip(edges[:-1], edges[1:], strict=True):
-            rows.append(np.array([start + low[start:end].argmin()]))
-            rows.append(np.array([start + high[start:end].argmax()]))
-    chosen = np.unique(np.concatenate(rows).astype(np.int64))
-    even = np.linspace(0, count - 1, max(2, limit - len(chosen))).astype(np.int64)
-    return np.union1d(chosen, even)
+    peaks: list[int] = []
+    for piece in np.array_split(np.arange(count), max(1, limit // (3 * len(signals)))):
+        for signal in signals:
+            known = piece[~np.isnan(signal[piece])]
+            if len(known):
+                peaks += [known[signal[known].argmin()], known[signal[known].argmax()]]
+    even = np.linspace(0, count - 1, max(2, limit - len(peaks)))
+    return np.unique(np.concatenate([even, always, peaks]).astype(np.int64))
 
 
 def pack(array: NDArray[Any], code: str = "f4") -> dict[str, Any]:

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import json
 import re
-from html.parser import HTMLParser
 from pathlib import Path
 
 import pytest
@@ -18,34 +17,6 @@ from tactile_hand_ros.report.page import write_report
 from tactile_hand_ros.run.run import Run
 from tactile_hand_ros.scenario.scenario import load_scenario, resolved
 
-LOADS = ("src", "href", "srcset", "action", "data", "poster", "background", "manifest", "ping")
-CALLS = r"\bfetch\(|XMLHttpRequest|WebSocket|EventSource|sendBeacon|importScripts|\bimport\("
-
-
-class Parts(HTMLParser):
-    """Collects what a page would load, and the texts of its scripts and styles."""
-
-    def __init__(self, text: str) -> None:
-        super().__init__()
-        self.loads: list[tuple[str, str]] = []
-        self.tags: list[str] = []
-        self.texts: dict[str, list[str]] = {}
-        self._inside = ""
-        self.feed(text)
-
-    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        values = dict(attrs)
-        self.tags.append(tag)
-        self.loads += [(tag, values[name] or "") for name in LOADS if name in values]
-        self._inside = values.get("id") or tag
-
-    def handle_data(self, data: str) -> None:
-        self.texts.setdefault(self._inside, []).append(data)
-
-    @property
-    def document(self) -> dict:
-        return json.loads("".join(self.texts["document"]))
-
 
 @pytest.fixture
 def run(tmp_path: Path) -> Run:
@@ -53,26 +24,14 @@ def run(tmp_path: Path) -> Run:
 
 
 class TestPage:
-    def test_loads_nothing(self, run: Run) -> None:
-        text = write_report(run).read_text(encoding="utf-8")
-        parts = Parts(text)
-        assert [load for load in parts.loads if not load[1].startswith("data:")] == []
-        assert not {"iframe", "object", "embed", "img", "base"} & set(parts.tags)
-        script = "".join(parts.texts["script"])
-        assert len(script) > 100_000 and not re.search(CALLS, script)
-        style = "".join(parts.texts["style"])
-        assert "url(" not in style and "@import" not in style
-        assert "default-src 'none'" in text and "connect-src" not in text
-
     def test_is_readable_as_json_whatever_a_bag_says(self, tmp_path: Path) -> None:
         evil = "</script><script>alert(1)</script><!-- \u2028 & \"'"
         scenario = load_scenario("paper").model_copy(update={"description": evil, "name": evil})
         told = {"scenario": resolved(scenario)}
         bag = write_record(tmp_path / "bag", random_record(5), custom_data=told)
         text = write_report(Run(bag)).read_text(encoding="utf-8")
-        parts = Parts(text)
-        assert parts.tags.count("script") == 2
-        assert parts.document["runs"][0]["description"] == evil
+        [document] = re.findall('id="document">(.*?)</script>', text, re.DOTALL)
+        assert json.loads(document)["runs"][0]["description"] == evil
 
     def test_of_ten_seconds_is_small(self, run: Run) -> None:
         record = random_record(5001)
