@@ -108,7 +108,7 @@ def find_prefix(topics: Iterable[str], namespace: str | None, bag: object) -> st
 
 
 def find_fingers(topics: Iterable[str], prefix: str) -> list[str]:
-    """Return the fingers named in topics, in natural order (finger_2 before finger_10)."""
+    """Return the fingers named in topics, shorter names first (finger_2 before finger_10)."""
     patterns = [re.escape(prefix) + p("([^/]+)") for p in _FORCES.values()]
     found = {
         match.group(1)
@@ -116,12 +116,7 @@ def find_fingers(topics: Iterable[str], prefix: str) -> list[str]:
         for pattern in patterns
         if (match := re.fullmatch(pattern, topic))
     }
-    return sorted(found, key=_natural)
-
-
-def _natural(name: str) -> list[tuple[int, str]]:
-    parts = re.findall(r"\d+|\D+", name)
-    return [(int(part), "") if part.isdigit() else (-1, part) for part in parts]
+    return sorted(found, key=lambda name: (len(name), name))
 
 
 Array = NDArray[np.float64]

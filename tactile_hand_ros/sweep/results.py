@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from tactile_hand_ros import files
 from tactile_hand_ros.extras import optional
 from tactile_hand_ros.report import tables
-from tactile_hand_ros.sweep.engine import OUTCOMES, REACHED, Study
+from tactile_hand_ros.sweep.engine import OUTCOMES, Study
 from tactile_hand_ros.sweep.sweep import METRICS, ScenarioRun
 from tactile_hand_ros.sweep.table import Table
 
@@ -78,9 +78,7 @@ class Results:
         self.scenario = study.run.base.name
 
     def column(self, name: str) -> Any:
-        """Return a column; ``reached`` is 1 where the goal was reached, else 0."""
-        if name == REACHED:
-            return (self.table["outcome"] == REACHED).astype(float)
+        """Return a column of the table."""
         found = self.table.get(name)  # a metric that no run knows has no column
         return np.full(len(self.table["outcome"]), math.nan) if found is None else found
 
