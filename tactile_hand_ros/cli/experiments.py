@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated
 
@@ -19,7 +18,6 @@ from tactile_hand_ros.cli.output import (
     progress,
     steps,
 )
-from tactile_hand_ros.command_options import with_options
 
 
 def scenarios() -> None:
@@ -43,33 +41,27 @@ def show(
     print(resolved(load_scenario(scenario)), end="")
 
 
-@dataclass(frozen=True)
-class SweepOptions:
-    """The options of `tactile-hand sweep`."""
-
-    scenario: Annotated[str, typer.Argument(help="Name of a scenario, or a YAML file.")]
+def sweep(
+    scenario: Annotated[str, typer.Argument(help="Name of a scenario, or a YAML file.")],
     over: Annotated[
-        list[str],
+        list[str] | None,
         typer.Option(
             metavar="PATH=VALUES",
             help="What is varied: LOW..HIGH, LOW..HIGH/LEVELS, LOW..HIGH:log or A,B,C.",
         ),
-    ] = field(default_factory=list)
+    ] = None,
     changes: Annotated[
-        list[str],
+        list[str] | None,
         typer.Option("--set", metavar="KEY=VALUE", help="What stays fixed, as duration=2."),
-    ] = field(default_factory=list)
+    ] = None,
     runs: Annotated[
         int, typer.Option(help="Number of runs, where a range has no levels.", min=1)
-    ] = 100
-    seed: SeedOption = 0
-    jobs: JobsOption = -1
-    cluster: Annotated[str, typer.Option(help="Dask scheduler, as tcp://127.0.0.1:8786.")] = ""
-    out: Annotated[Path, typer.Option(help="Folder of the results.")] = Path("sweep")
-
-
-@with_options
-def sweep(options: SweepOptions) -> None:
+    ] = 100,
+    seed: SeedOption = 0,
+    jobs: JobsOption = -1,
+    cluster: Annotated[str, typer.Option(help="Dask scheduler, as tcp://127.0.0.1:8786.")] = "",
+    out: Annotated[Path, typer.Option(help="Folder of the results.")] = Path("sweep"),
+) -> None:
     """Run a scenario over ranges of its parameters; table and summary.
 
     After an interruption the same command continues.
@@ -80,16 +72,9 @@ def sweep(options: SweepOptions) -> None:
     from tactile_hand_ros.sweep.sweep import make_sweep
     from tactile_hand_ros.sweep.table import keep, read_table
 
-    out = options.out
-    study = make_sweep(
-        options.scenario,
-        options.over,
-        parse_changes(options.changes),
-        runs=options.runs,
-        seed=options.seed,
-    )
+    study = make_sweep(scenario, over or [], parse_changes(changes or []), runs=runs, seed=seed)
     check_writable(out)
-    with workers(options.jobs, options.cluster), progress(options.scenario) as watch:
+    with workers(jobs, cluster), progress(scenario) as watch:
         tally = keep(study, out, watch)
     print(tally)
     results = Results(study, read_table(out))

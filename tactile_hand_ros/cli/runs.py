@@ -4,9 +4,8 @@
 from __future__ import annotations
 
 import sys
-from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -18,7 +17,6 @@ from tactile_hand_ros.cli.output import (
     check_writable,
     print_table,
 )
-from tactile_hand_ros.command_options import with_options
 from tactile_hand_ros.errors import TactileHandError, counted
 
 if TYPE_CHECKING:
@@ -45,16 +43,13 @@ def report(
     print(f"{file}  {1e-6 * file.stat().st_size:.1f} MB")
 
 
-def summary(
-    run: RunArgument = LATEST,
-    namespace: NamespaceOption = None,
-) -> None:
+def summary(run: RunArgument = LATEST, namespace: NamespaceOption = None) -> None:
     """Print what a recorded run achieved, and whether its recording is complete."""
+    from tactile_hand_ros.report import tables
+
     opened = _open(run, namespace)
     if opened.assumptions_problem:
         print(f"note: {opened.assumptions_problem}", file=sys.stderr)
-    from tactile_hand_ros.report import tables
-
     name = opened.scenario.name if opened.scenario else "unknown scenario"
     columns = ("", "")
     print_table(f"{name}, {opened.path}", columns, tables.metrics_rows(opened.metrics))
@@ -73,59 +68,58 @@ def _open(path: Path, namespace: str | None) -> Run:
     return opened
 
 
-@dataclass(frozen=True)
-class ReplayRequest:
-    """The options of `tactile-hand replay`."""
-
-    bag: BagArgument = Path("runs/latest")
-    rate: Annotated[float, typer.Option(help="Times the original speed.")] = 1.0
+def replay(
+    bag: BagArgument = LATEST,
+    rate: Annotated[float, typer.Option(help="Times the original speed.")] = 1.0,
     start_offset: Annotated[
         float, typer.Option(min=0.0, help="Where to start [s after the first message].")
-    ] = 0.0
+    ] = 0.0,
     topics: Annotated[
-        list[str],
+        list[str] | None,
         typer.Option(help="Only topics whose whole name matches; may be repeated."),
-    ] = field(default_factory=list)
+    ] = None,
     exclude: Annotated[
-        list[str],
+        list[str] | None,
         typer.Option(help="Not the topics whose whole name matches; may be repeated."),
-    ] = field(default_factory=list)
-    namespace: Annotated[str, typer.Option(help="Put before the names, as /left.")] = ""
-    paused: Annotated[bool, typer.Option("--start-paused", help="Start paused.")] = False
+    ] = None,
+    namespace: Annotated[str, typer.Option(help="Put before the names, as /left.")] = "",
+    paused: Annotated[bool, typer.Option("--start-paused", help="Start paused.")] = False,
     recompute: Annotated[
         bool,
         typer.Option("--recompute", help="Publish nothing: ask the controllers again, compare."),
-    ] = False
+    ] = False,
     law: Annotated[
         str, typer.Option(help="With --recompute: another law, or your own, as MODULE:CLASS.")
-    ] = ""
-
-
-@with_options
-def replay(request: ReplayRequest) -> None:
+    ] = "",
+) -> None:
     """Publish a bag as it was recorded, or recompute it. Ctrl-C stops it.
 
-    Exit code of --recompute: 0 if all is the same to the bit, 1 if not. A law of your
-    own is imported only if you name it here, by --law MODULE:CLASS.
+    Exit code of --recompute: 0 if all is the same to the bit, 1 if not. A law of your own is
+    imported only if you name it here, by --law MODULE:CLASS.
     """
-    if request.recompute:
-        _recompute(request)
+    if recompute:
+        _recompute(bag, namespace, law)
         return
-    if request.law:
+    if law:
         raise TactileHandError("--law was given, expected --recompute too.")
-    from tactile_hand_ros.bag.reader import find_bag
+    if not 0.0 < rate < float("inf"):
+        raise TactileHandError(f"--rate is {rate}, expected a number above 0.")
+    options = {
+        "rate": rate,
+        "start_offset": start_offset,
+        "topics": topics or [".*"],
+        "exclude": exclude or [],
+        "paused": paused,
+    }
+    _publish(bag, namespace, options)
 
-    if not 0.0 < request.rate < float("inf"):
-        raise TactileHandError(f"--rate is {request.rate}, expected a number above 0.")
-    _publish(find_bag(request.bag), request)
 
-
-def _recompute(request: ReplayRequest) -> None:
+def _recompute(bag: Path, namespace: str, law: str) -> None:
     """Ask the controllers again, and compare their answers with those in the bag."""
     from tactile_hand_ros.run.run import Run
     from tactile_hand_ros.verify import recompute as r
 
-    result = r.recompute(Run(request.bag, namespace=request.namespace or None), request.law)
+    result = r.recompute(Run(bag, namespace=namespace or None), law)
     print_table("recorded and recomputed", r.COLUMNS, [each.row for each in result.comparisons])
     if not result.same:
         text = "The answers differ: the law is another one, messages were lost (see `tactile-hand "
@@ -133,7 +127,10 @@ def _recompute(request: ReplayRequest) -> None:
         raise typer.Exit(EXIT_DIFFERS)
 
 
-def _publish(bag: Path, request: ReplayRequest) -> None:
+def _publish(path: Path, namespace: str, options: dict[str, Any]) -> None:
+    from tactile_hand_ros.bag.reader import find_bag
+
+    bag = find_bag(path)
     try:
         from tactile_hand_ros.nodes.replay import replaying
         from tactile_hand_ros.ros.middleware import full_namespace
@@ -143,15 +140,11 @@ def _publish(bag: Path, request: ReplayRequest) -> None:
             "install its wheels."
         ) from None
 
-    options = {
-        "rate": request.rate,
-        "start_offset": request.start_offset,
-        "topics": request.topics or [".*"],
-        "exclude": request.exclude,
-        "namespace": full_namespace(request.namespace).rstrip("/"),
-        "paused": request.paused,
-    }
-    with replaying(bag, **options) as player, bar("replay", player.duration) as update:
+    place = full_namespace(namespace).rstrip("/")
+    with (
+        replaying(bag, namespace=place, **options) as player,
+        bar("replay", player.duration) as update,
+    ):
 
         def watch(player: Replay) -> None:
             state = "paused" if player.paused else counted(player.messages, "message")
