@@ -39,6 +39,8 @@ class Range:
 
     def value(self, fraction: float) -> float | int:
         """Return the value at a fraction of the range, 0 to 1."""
+        if self.levels:
+            fraction = min(int(fraction * self.levels), self.levels - 1) / (self.levels - 1)
         if self.is_whole:
             span = int(self.high) - int(self.low) + 1
             return int(self.low) + min(int(fraction * span), span - 1)

@@ -81,3 +81,6 @@ def test_levels_are_combined_with_both_ends() -> None:
     study = Study(space, dict)
     found = [tuple(study.point(i).values.values()) for i in range(len(study.fractions))]
     assert found == [(a, c) for a in (0.0, 1.0, 2.0) for c in "uvwxy"]
+    sampled = Study(space | {"b": Range(0.0, 1.0)}, dict, runs=60)
+    values = [sampled.point(i).values["a"] for i in range(60)]
+    assert np.unique(values, return_counts=True)[1].tolist() == [20] * 3
