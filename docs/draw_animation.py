@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Write docs/figures/human_pull.webp: the same pull with slip prevention on and off.
 
-The frames are screenshots of the 3D views in a comparison page, taken in Chromium.
+The frames are screenshots of the 3D views in the reports of both runs, taken in Chromium.
 """
 
 from __future__ import annotations
@@ -16,24 +16,25 @@ import numpy as np
 from PIL import Image
 
 from tactile_hand_ros import simulate
-from tactile_hand_ros.report.page import write_comparison
 from tactile_hand_ros.simulation.plant_config import external_wrench
 
 DOCS = Path(__file__).resolve().parent
 FILE = DOCS / "figures" / "human_pull.webp"
 START, END = 1.6, 6.4  # s, simulated
 RATE = 12  # frames per second, at the speed of the simulation
-SIZE = (880, 900)  # of the window; the views take its width
+SIZE = (470, 900)  # of the window; a view takes its width
 QUALITY = 55  # of WebP, 0 to 100
 
 _PREPARE = """
-for (const scene of report.scenes)
-    Object.assign(scene.visible, {frames: false, goal: false, trail: false});
+Object.assign(report.scene.visible, {frames: false, goal: false, trail: false});
+document.querySelectorAll(".tools, .scale, .news").forEach((e) => e.remove());
+Object.assign(document.querySelector(".stage").style, {height: "450px", minHeight: 0});
+document.querySelector(".hud .time").style.fontSize = "15px";
 """
 _SHOW = """
-const [time, captions] = arguments;
+const [time, caption] = arguments;
 report.player.seek(time);
-document.querySelectorAll(".beside .name").forEach((e, i) => { e.textContent = captions[i]; });
+document.querySelector(".hud .time").textContent = caption;
 """
 
 
@@ -46,18 +47,25 @@ def animate() -> None:
         "Slip prevention on": simulate("human_pull"),
         "Slip prevention off": simulate("human_pull", {"slip_regulator.mode": "user"}),
     }
-    frames = []
     with tempfile.TemporaryDirectory() as name, browser(Path(name) / "profile") as page:
-        page.open(write_comparison([*runs.values()], Path(name) / "comparison.html"), size=SIZE)
-        page.js(_PREPARE)
-        views = page.driver.find_element("css selector", ".beside-all")
-        for time in np.arange(START, END, 1.0 / RATE):
-            page.js(_SHOW, float(time), [caption(*run, time) for run in runs.items()])
-            frames.append(Image.open(io.BytesIO(views.screenshot_as_png)).convert("RGB"))
+        halves = [views(page, title, run, Path(name)) for title, run in runs.items()]
+    frames = [Image.fromarray(np.hstack(pair)) for pair in zip(*halves, strict=True)]
     duration = [round(1000 / RATE)] * (len(frames) - 1) + [2000]  # ms
     frames[0].save(
         FILE, save_all=True, append_images=frames[1:], duration=duration, loop=0, quality=QUALITY
     )
+
+
+def views(page: Any, title: str, run: Any, folder: Path) -> list[Any]:
+    """Return the pictures of a run, each of shape (height, width, 3)."""
+    page.open(run.report(folder), size=SIZE)
+    page.js(_PREPARE)
+    view = page.driver.find_element("css selector", ".viewport")
+    found = []
+    for time in np.arange(START, END, 1.0 / RATE):
+        page.js(_SHOW, float(time), caption(title, run, time))
+        found.append(np.array(Image.open(io.BytesIO(view.screenshot_as_png)).convert("RGB")))
+    return found
 
 
 def caption(title: str, result: Any, time: float) -> str:

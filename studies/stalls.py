@@ -141,7 +141,7 @@ def run_one(point: Point) -> dict[str, Any]:
 def study_of() -> Study:
     """Return all cases with both guards and all faults as a study."""
     space = {"case": tuple(CASES), "guard": tuple(GUARDS), "fault": tuple(FAULTS)}
-    return Study({name: Choice(values) for name, values in space.items()}, "grid", run_one)
+    return Study({name: Choice(values) for name, values in space.items()}, run_one)
 
 
 COLUMNS = ("", "guard", *FAULTS)

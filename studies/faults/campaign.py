@@ -47,7 +47,7 @@ def run_campaign(
     is_live = runs[0].way != "in-process"
     with Hands() as hands, workers(1 if is_live else jobs):
         run = hands.run_one if is_live else run_one
-        study = Study({"injection": Choice(tuple(runs))}, "grid", run)
+        study = Study({"injection": Choice(tuple(runs))}, run)
         keep(study, folder, watch)
 
 

@@ -219,7 +219,7 @@ def study_of(
     """
     space = {"case": Choice(tuple(sample_loads(runs, seed, hand)))}
     space |= {name: Choice(values) for name, values in reserves.items()}
-    return Study(space, "grid", run_one, runs, seed)
+    return Study(space, run_one, runs, seed)
 
 
 def run_one(point: Point) -> dict[str, Any]:

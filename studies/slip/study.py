@@ -176,7 +176,7 @@ def all_cases(runs: int, seed: int) -> list[SlipCase]:
 def study_of(runs: int, seed: int) -> Study:
     """Return the study: so many runs with an event, and a few that hold for longer."""
     cases = Choice(tuple(all_cases(runs, seed)))
-    return Study({"case": cases}, "grid", run_one, runs, seed)
+    return Study({"case": cases}, run_one, runs, seed)
 
 
 def run_one(point: Point) -> dict[str, Any]:

@@ -13,7 +13,7 @@ from mcap.stream_reader import StreamReader, breakup_chunk
 from rosbags.rosbag2.metadata import dump_qos_v9, parse_qos
 
 from tactile_hand_ros.bag.metadata import RECORD_KEY, RECORD_NAME, BagMetadata, OfferedQos
-from tactile_hand_ros.bag.reader import check_regular, find_bag, read_messages, summarize
+from tactile_hand_ros.bag.reader import find_bag
 from tactile_hand_ros.bag.schema import MessageDefinition
 from tactile_hand_ros.bag.writer import BagWriter
 from tactile_hand_ros.errors import BagError
@@ -67,14 +67,6 @@ def recover(bag: Path | str, out: Path | str | None = None) -> Recovery:
         raise
 
 
-def is_whole(bag: Path) -> bool:
-    """Return whether nothing is missing in a bag; all of it is read."""
-    try:
-        return sum(1 for _ in read_messages(bag)) == summarize(bag).message_count
-    except BagError:
-        return False
-
-
 def _files_of(bag: Path) -> list[Path]:
     """Return the files of a bag in the order of their numbers."""
     found = [bag] if bag.is_file() else bag.glob("*.mcap")
@@ -84,8 +76,6 @@ def _files_of(bag: Path) -> list[Path]:
             f"The folder {bag} holds no .mcap file; only MCAP bags can be recovered, and files "
             "that rosbag2 has compressed only after `ros2 bag convert`."
         )
-    for file in files:
-        check_regular(file)
     return files
 
 

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import os
-import stat
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -56,14 +55,10 @@ def read_text(path: str | Path, largest: int = LARGEST) -> str:
     """Read a text file.
 
     Raises:
-        ConfigurationError: If it cannot be read, is not a regular file, is too large or not UTF-8.
+        ConfigurationError: If it cannot be read, is too large or not UTF-8.
     """
     try:
-        path = Path(path)
-        if not stat.S_ISREG(path.stat().st_mode):  # a device or pipe need not end
-            kind = "a folder" if path.is_dir() else "a device, pipe or socket"
-            raise _unreadable(path, f"it is {kind}, expected a file")
-        with path.open("rb") as file:
+        with Path(path).open("rb") as file:
             data = file.read(largest + 1)
         if len(data) > largest:
             raise _unreadable(path, f"it is larger than {largest} bytes, the maximum that is read")

@@ -444,6 +444,6 @@ def law_of(config: LawConfig) -> LawFactory:
     if factory is None:
         raise ConfigurationError(
             f"the law '{config.name}' is code outside this package, which no recording can import; "
-            f"to use it, name it yourself: --set law={config.name}"
+            f"to use it, name it yourself: --law {config.name}"
         )
     return factory

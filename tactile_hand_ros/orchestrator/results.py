@@ -191,7 +191,6 @@ def write_summary(
         },
         "metrics": {} if results.metrics is None else results.metrics.to_dict(),
         "assumptions": [] if run is None else [line.to_dict() for line in run.assumptions],
-        "recoveries": [] if run is None else [each.to_dict() for each in run.recoveries],
         "recording": results.recording,
         "real_time": real_time_counts(plan, outcome),
         "start_to_first_tick_s": outcome.first_tick,
@@ -220,8 +219,7 @@ def table(plan: Plan, outcome: RunOutcome, results: RunResults) -> Table:
         goal = (f"< {1e3 * each.limit:g} m{each.unit}", "pass" if each.passed else "fail")
         is_limited = each.limit < UNLIMITED_SLIP
         out.add_row(each.name, tables.milli(each.value, each.unit), *(goal if is_limited else ()))
-    rows = [*tables.metrics_rows(run.metrics), *tables.recovery_rows(run.recoveries)]
-    for name, value in [*rows, *tables.bag_rows(run.bag_metrics)]:
+    for name, value in tables.metrics_rows(run.metrics) + tables.bag_rows(run.bag_metrics):
         if name not in (_JUDGED if has_goal else _JUDGED[-1:]):
             out.add_row(name, value)
     lost = results.recording[LOST_KEY]

@@ -21,7 +21,6 @@ from tactile_hand_ros.run.result import RunData
 Array = NDArray[np.float64]
 Rows = NDArray[np.int64]
 
-FORMAT = 1
 MAX_BYTES = 2_900_000
 """Room for the arrays of a page before base64, so that it stays below 5 MB."""
 MAX_EVENTS = 400
@@ -30,32 +29,7 @@ _CODES = {"time": "f8", "grip": "u1"}  # for the time of a long run 24 bits are 
 _BYTES = {"f8": 8, "f4": 4, "u1": 1}
 
 
-def page_document(
-    kind: str, runs: list[dict[str, Any]], settings: Sequence[Sequence[str]] = ()
-) -> dict[str, Any]:
-    """Return the document of a page.
-
-    Args:
-        kind: ``run`` or ``comparison``.
-        runs: What `run_document` gave for each.
-        settings: Rows of the settings in which they differ.
-    """
-    palette = {
-        "ink": style.INK,
-        "faint": style.FAINT,
-        "axes": [style.axis_color(i) for i in range(3)],
-        "runs": [style.finger_color(i) for i in range(len(runs))],
-    }
-    return {
-        "format": FORMAT,
-        "kind": kind,
-        "palette": palette,
-        "runs": runs,
-        "settings": [list(row) for row in settings],
-    }
-
-
-def run_document(run: RunData, *, room: int = MAX_BYTES, label: str = "") -> dict[str, Any]:
+def run_document(run: RunData, *, room: int = MAX_BYTES) -> dict[str, Any]:
     """Return everything the page needs to know of a run, as plain data for JSON.
 
     All ticks are shown where there is room, of a longer run a choice of them, see `ticks.shown`.
@@ -63,7 +37,6 @@ def run_document(run: RunData, *, room: int = MAX_BYTES, label: str = "") -> dic
     Args:
         run: The run.
         room: How many bytes the arrays may take before base64.
-        label: What a comparison calls it, by default its name.
 
     Raises:
         BagError: If the bag is damaged or has no tick.
@@ -79,7 +52,6 @@ def run_document(run: RunData, *, room: int = MAX_BYTES, label: str = "") -> dic
     broken, breaking = [first for first, _ in around], {*plots} - {"time", "grip"}
     return {
         "name": run.name,
-        "label": label or run.name,
         "gaps": [[float(record.times[row]) for row in pair] for pair in around],
         "description": run.scenario.description if run.scenario else "",
         "recorded": _date(run),
@@ -212,9 +184,8 @@ def _date(run: RunData) -> str:
 def shown(count: int, limit: int, signals: Sequence[Array], always: Rows) -> Rows:
     """Choose the ticks to show.
 
-    Up to `limit` ticks are all shown. Of more, the run is cut into equal pieces, and of each the
-    first tick is shown and those at which each signal is largest and smallest, so that no peak is
-    lost to the eye; what room is left goes to ticks at equal distances.
+    Up to `limit` ticks are all shown. Of more, those at equal distances are shown, and of each of
+    many equal pieces those at which a signal is largest and smallest: no peak is lost to the eye.
 
     Args:
         count: Number of ticks.
@@ -227,18 +198,14 @@ def shown(count: int, limit: int, signals: Sequence[Array], always: Rows) -> Row
     """
     if count <= limit:
         return np.arange(count)
-    pieces = max(1, limit // (1 + 2 * len(signals)))
-    edges = np.unique(np.linspace(0, count, pieces + 1).astype(np.int64))
-    rows = [edges[:-1], always, np.array([count - 1])]
-    for signal in signals:
-        low = np.where(np.isnan(signal), np.inf, signal)
-        high = np.where(np.isnan(signal), -np.inf, signal)
-        for start, end in zip(edges[:-1], edges[1:], strict=True):
-            rows.append(np.array([start + low[start:end].argmin()]))
-            rows.append(np.array([start + high[start:end].argmax()]))
-    chosen = np.unique(np.concatenate(rows).astype(np.int64))
-    even = np.linspace(0, count - 1, max(2, limit - len(chosen))).astype(np.int64)
-    return np.union1d(chosen, even)
+    peaks: list[int] = []
+    for piece in np.array_split(np.arange(count), max(1, limit // (3 * len(signals)))):
+        for signal in signals:
+            known = piece[~np.isnan(signal[piece])]
+            if len(known):
+                peaks += [known[signal[known].argmin()], known[signal[known].argmax()]]
+    even = np.linspace(0, count - 1, max(2, limit - len(peaks)))
+    return np.unique(np.concatenate([even, always, peaks]).astype(np.int64))
 
 
 def pack(array: NDArray[Any], code: str = "f4") -> dict[str, Any]:

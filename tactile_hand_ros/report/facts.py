@@ -4,12 +4,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
-from tactile_hand_ros.config.plain_yaml import parse_yaml
 from tactile_hand_ros.errors import counted
 from tactile_hand_ros.report import tables
 from tactile_hand_ros.run.result import RunData
@@ -97,7 +95,6 @@ def all_tables(run: RunData) -> list[dict[str, Any]]:
         versions.append(["seed", str(run.scenario.seed)])
     found = [
         {"title": "Metrics", "rows": tables.metrics_rows(run.metrics)},
-        {"title": "After each disturbance", "rows": tables.recovery_rows(run.recoveries)},
         {"title": "Recording", "rows": _recording_rows(run)},
         {"title": "Versions and seed", "rows": versions},
     ]
@@ -139,42 +136,4 @@ def notes(run: RunData) -> list[str]:
         found.append(run.assumptions_problem)
     if run.bag_metrics is not None and not run.bag_metrics.complete:
         found.append("The recording is incomplete; gaps in the plots are ticks without a message.")
-    return found
-
-
-_NOT_SET = "not set"
-_LONGEST = 60  # characters of a value in a table
-_WORDS = ("name", "description")
-_PLACES = ("manipulation_controller.law.folder",)  # where a file lies changes nothing
-
-
-def differing(runs: Sequence[RunData]) -> list[list[str]]:
-    """Return a row for each setting that is not the same in all runs: its key, and each value."""
-    texts = [run.scenario_text if run.scenario else "{}" for run in runs]
-    flat = [_flat(parse_yaml(text, "scenario")) for text in texts]
-    keys = dict.fromkeys(key for each in flat for key in each)
-    rows = [[key, *(each.get(key, _NOT_SET) for each in flat)] for key in keys]
-    return [row for row in rows if len(set(row[1:])) > 1]
-
-
-def labels(runs: Sequence[RunData]) -> list[str]:
-    """Return what to call each run: its scenario, with its folder where another has the same."""
-    names = [run.name for run in runs]
-    return [
-        name if names.count(name) == 1 else f"{name} ({run.path.resolve().name})"
-        for name, run in zip(names, runs, strict=True)
-    ]
-
-
-def _flat(data: Mapping[str, Any], prefix: str = "") -> dict[str, str]:
-    """Return nested settings by dotted key, as text, without names and descriptions."""
-    found: dict[str, str] = {}
-    for key, value in data.items():
-        if (not prefix and key in _WORDS) or prefix + key in _PLACES:
-            continue
-        if isinstance(value, dict):
-            found |= _flat(value, f"{prefix}{key}.")
-        else:
-            text = "" if value is None else str(value)
-            found[prefix + key] = text if len(text) <= _LONGEST else f"{text[:_LONGEST]}..."
     return found

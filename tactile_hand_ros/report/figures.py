@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from tactile_hand_ros.closed_loop.record import Record
 from tactile_hand_ros.extras import optional
 from tactile_hand_ros.report.style import (
-    FAINT,
     INK,
     JOINT_LINES,
     PAGE,
@@ -57,7 +56,6 @@ def motion_figure(record: Record) -> Figure:
             panel.set_xlabel("time [s]")
         if len(record) > 1:
             axes[0, 0].set_xlim(record.times[0], record.times[-1])
-        _mark_loss(axes.ravel().tolist(), record)
         handles = _motion_handles(record)
         figure.legend(
             handles=handles, loc="outside upper center", ncols=len(handles), columnspacing=1.2
@@ -146,25 +144,6 @@ def _draw_friction(axes: Axes, records: Mapping[str, Record], finger: int) -> No
 
 def _joints_per_finger(record: Record) -> int:
     return max(1, len(record.joint_names) // max(1, len(record.finger_names)))
-
-
-def _mark_loss(panels: list[Axes], record: Record) -> None:
-    """Shade what comes after the first lost contact: the laws hold no longer there."""
-    lost = np.flatnonzero(derived.contact_lost(record))
-    if not len(lost):
-        return
-    start, end = record.times[lost[0]], record.times[-1]
-    for axes in panels:
-        axes.axvspan(start, end, color="#f1f1f1", linewidth=0.0, zorder=0)
-        axes.annotate(
-            "contact lost",
-            (start, 0.0),
-            xycoords=("data", "axes fraction"),
-            xytext=(3, 3),
-            textcoords="offset points",
-            fontsize=7,
-            color=FAINT,
-        )
 
 
 def _motion_handles(record: Record) -> list[Line2D]:

@@ -72,14 +72,13 @@ def hand_tree(
     Args:
         description: URDF text.
         joint_names: Names of the joints in the order of the record.
-        tips: Finger and radius in m by tip link; where empty, the links at the ends of the tree
-            are taken, with the radius of the sphere that the URDF draws there.
+        tips: Finger and radius in m by tip link; links that the URDF lacks are left out.
 
     Returns:
         ``links`` in an order in which parents come first, each with ``parent`` (index, -1 for the
         root), ``xyz`` in m and ``quaternion`` (x, y, z, w) in the parent, and for moving joints
         ``motion`` (turn or slide), ``axis`` and ``joint`` (column of the record, -1 if unknown);
-        ``tips`` with ``link`` (index), ``finger`` (name, empty if unknown) and ``radius``.
+        ``tips`` with ``link`` (index), ``finger`` (name) and ``radius``.
 
     Raises:
         HandModelError: If the text is not a URDF.
@@ -87,14 +86,13 @@ def hand_tree(
     try:
         root = ElementTree.fromstring(description)
         links = _links(root, list(joint_names))
-        drawn = _drawn_tips(root, links)
     except (ElementTree.ParseError, AttributeError, ValueError) as error:
         raise HandModelError(f"robot_description is not a valid URDF ({error})") from error
     index = {link["name"]: i for i, link in enumerate(links)}
-    found = {name: tip for name, tip in tips.items() if name in index} or drawn
     ends = [
         {"link": index[name], "finger": finger, "radius": radius}
-        for name, (finger, radius) in found.items()
+        for name, (finger, radius) in tips.items()
+        if name in index
     ]
     return {"links": links, "tips": ends}
 
@@ -146,17 +144,3 @@ def _numbers(element: ElementTree.Element | None, name: str, default: str) -> li
 def _quaternion(rpy: list[float]) -> list[float]:
     roll, pitch, yaw = (rotation_from_vector(a * e) for a, e in zip(rpy, np.eye(3), strict=True))
     return [float(q) for q in quaternion_from_rotation(yaw @ pitch @ roll)]
-
-
-def _drawn_tips(
-    root: ElementTree.Element, links: list[dict[str, Any]]
-) -> dict[str, tuple[str, float]]:
-    """Return the links at the ends of the tree that the URDF draws as spheres."""
-    inner = {link["parent"] for link in links}
-    ends = {link["name"] for i, link in enumerate(links) if i not in inner}
-    found = {}
-    for link in root.findall("link"):
-        sphere = link.find(".//sphere")
-        if sphere is not None and link.get("name") in ends:
-            found[str(link.get("name"))] = ("", float(sphere.get("radius", "0.01")))
-    return found

@@ -8,16 +8,15 @@ import hashlib
 import html
 import json
 import re
-from collections.abc import Sequence
 from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from tactile_hand_ros.errors import TactileHandError
 from tactile_hand_ros.files import replace_text
-from tactile_hand_ros.report.document import MAX_BYTES, page_document, run_document
-from tactile_hand_ros.report.facts import differing, labels
+from tactile_hand_ros.report.document import MAX_BYTES, run_document
 from tactile_hand_ros.report.figures import motion_figure
+from tactile_hand_ros.report.style import axis_color
 from tactile_hand_ros.run.metrics import json_ready
 from tactile_hand_ros.run.result import RunData
 
@@ -25,7 +24,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 REPORT = "report.html"
-COMPARISON = "comparison.html"
 
 MOST_EARLIER = 9
 """Sections before the last one that a page has room for."""
@@ -47,45 +45,23 @@ def write_report(run: RunData, folder: Path | None = None) -> Path:
     sections = [*run.earlier[-MOST_EARLIER:], run]
     room = MAX_BYTES // len(sections)
     documents = [run_document(section, room=room) for section in sections]
-    return _write(page(documents, "run"), (folder or run.folder) / REPORT)
+    return _write(page(documents), (folder or run.folder) / REPORT)
 
 
-def write_comparison(runs: Sequence[RunData], file: Path) -> Path:
-    """Write a page that overlays runs and return the file.
-
-    Args:
-        runs: At least two; the hands may differ.
-        file: Where to.
-
-    Raises:
-        BagError: If a bag is damaged or has no tick.
-        TactileHandError: If the file cannot be written.
-    """
-    room = MAX_BYTES // max(1, len(runs))
-    documents = [
-        run_document(run, room=room, label=label)
-        for run, label in zip(runs, labels(runs), strict=True)
-    ]
-    return _write(page(documents, "comparison", differing(runs)), file)
-
-
-def page(documents: list[dict[str, Any]], kind: str, settings: Sequence[Sequence[str]] = ()) -> str:
+def page(documents: list[dict[str, Any]]) -> str:
     """Return the HTML of a page that loads nothing from anywhere.
 
     Args:
-        documents: What `run_document` gave for each run.
-        kind: ``run`` or ``comparison``.
-        settings: Rows of the settings in which they differ.
+        documents: What `run_document` gave for each section.
     """
-    names = " and ".join(dict.fromkeys(document["name"] for document in documents))
     style, script = _resource("viewer.css"), _resource("viewer.js")
     parts = {
-        "title": html.escape(f"{names} - tactile hand"),
+        "title": html.escape(f"{documents[-1]['name']} - tactile hand"),
         "style": style,
         "style_hash": _source_hash(style),
         "script": script,
         "script_hash": _source_hash(script),
-        "document": _json(page_document(kind, documents, settings)),
+        "document": _json({"axes": [axis_color(i) for i in range(3)], "runs": documents}),
     }
     return _PLACE.sub(lambda place: parts[place.group(1)], _resource("template.html"))
 

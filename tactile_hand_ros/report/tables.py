@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from tactile_hand_ros.extras import optional
 from tactile_hand_ros.run.assumptions import Assumption
-from tactile_hand_ros.run.metrics import Metrics, Settling
+from tactile_hand_ros.run.metrics import Metrics
 from tactile_hand_ros.run.recording import BagMetrics
 
 if TYPE_CHECKING:
@@ -18,22 +18,6 @@ if TYPE_CHECKING:
 _NOTHING = 1e-9  # m or rad: rounding, no motion
 _LEAST = 1e-6  # m or rad: of less, the size does not matter
 Rows = Sequence[Sequence[str]]
-
-
-def recovery_rows(recoveries: Sequence[Settling]) -> list[list[str]]:
-    """Return a row for each disturbance: when, how far the object went, and when it was back."""
-    return [
-        [
-            f"event at {each.start_s:g} s",
-            f"{milli(each.largest_error_m, 'm')} away, "
-            + (
-                f"back after {each.recovery_time_s:.2f} s"
-                if each.recovery_time_s < math.inf
-                else "not back"
-            ),
-        ]
-        for each in recoveries
-    ]
 
 
 def metrics_rows(m: Metrics) -> list[list[str]]:
@@ -131,13 +115,6 @@ def bag_rows(b: BagMetrics) -> list[list[str]]:
     ]
     rows += [[f"  {topic}", f"{count.ticks} ticks"] for topic, count in short.items()]
     return rows + [[f"  {topic}", "absent"] for topic in b.absent]
-
-
-def side_by_side(tables: Sequence[Rows]) -> list[list[str]]:
-    """Join tables of name and value into one with a column of values for each."""
-    values = [{row[0]: row[1] for row in rows} for rows in tables]
-    names = list(dict.fromkeys(name for each in values for name in each))
-    return [[name, *(each.get(name, "") for each in values)] for name in names]
 
 
 def rich_table(title: str, columns: Sequence[str], rows: Rows = ()) -> Table:

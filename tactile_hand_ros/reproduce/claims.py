@@ -5,21 +5,16 @@ from __future__ import annotations
 
 import enum
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
-from tactile_hand_ros.control.contact import hand_jacobian
-from tactile_hand_ros.control.laws import LAWS as CONTROL_LAWS
-from tactile_hand_ros.control.laws import LawInput
-from tactile_hand_ros.hand.hand import Fingertips
 from tactile_hand_ros.run import derived
 from tactile_hand_ros.run.result import RunData
 from tactile_hand_ros.scenario.scenario import Scenario, load_scenario
-from tactile_hand_ros.simulation.plant import Plant
 
 LAYOUTS = ("three_faces", "pinch")
 
@@ -99,114 +94,94 @@ class Claim:
     verdict: ClaimVerdict
 
 
-Judged = tuple[str, ClaimVerdict]
-"""What was measured in words, and the verdict."""
-
-_JUDGES: list[tuple[str, str, Callable[[Outcomes], Judged]]] = []
-"""Source, statement and judge of each claim, in the order of the paper, then what we found."""
-
-Judge = TypeVar("Judge", bound=Callable[[Outcomes], Judged])
-
-
-def _claim(source: str, statement: str) -> Callable[[Judge], Judge]:
-    """Register the judge of a claim."""
-
-    def register(judge: Judge) -> Judge:
-        _JUDGES.append((source, statement, judge))
-        return judge
-
-    return register
-
-
-def judge(outcomes: Outcomes) -> list[Claim]:
-    """Judge all claims by the experiments of one layout, Theorem 1 (9) among them."""
-    return [Claim(source, statement, *each(outcomes)) for source, statement, each in _JUDGES]
-
-
 def _verdict(holds: bool, partly: bool = False) -> ClaimVerdict:
     return ClaimVerdict.HOLDS if holds else ClaimVerdict.PARTLY if partly else ClaimVerdict.FAILS
 
 
-@_claim("Fig. 3b, (15)", "The contact centroid converges to p_d.")
-def _position(outcomes: Outcomes) -> Judged:
+def _position(outcomes: Outcomes) -> Claim:
     error = outcomes["optimal"].metrics.final_position_error_m
-    return (
+    return Claim(
+        "Fig. 3b, (15)",
+        "The contact centroid converges to p_d.",
         f"{_millimetres(error)} from p_d at the end",
         _verdict(error < 1e-4, error < 1e-2),
     )
 
 
-@_claim("Fig. 3c, (15)", "The orientation error r_d converges to zero.")
-def _orientation(outcomes: Outcomes) -> Judged:
+def _orientation(outcomes: Outcomes) -> Claim:
     run = outcomes["optimal"]
     error = run.metrics.final_rotation_error_rad
     peak = _largest(np.linalg.norm(derived.rotation_error(run.record), axis=1))
-    return (
+    return Claim(
+        "Fig. 3c, (15)",
+        "The orientation error r_d converges to zero.",
         f"|r_d| = {error:.1e} rad at the end, {peak:.3f} rad at most on the way",
         _verdict(error < 1e-3, error < 1e-1),
     )
 
 
-@_claim("Fig. 3a", "The joint rates converge to zero.")
-def _rates(outcomes: Outcomes) -> Judged:
+def _rates(outcomes: Outcomes) -> Claim:
     record = outcomes["optimal"].record
     rates = np.abs(record.rates)
     tick, joint = np.unravel_index(int(np.nanargmax(rates)), rates.shape)
     peak, final = float(rates[tick, joint]), _largest(rates[-1])
-    return (
+    return Claim(
+        "Fig. 3a",
+        "The joint rates converge to zero.",
         f"{final:.1e} rad/s at the end; peak {peak:.3f} rad/s of {record.joint_names[joint]} at "
         f"{record.times[tick]:.2f} s (the text gives no number to compare)",
         _verdict(final < 1e-3, final < 0.1 * peak),
     )
 
 
-@_claim("Fig. 3d, (15)", "Every normal force converges to k_f f*_n.")
-def _normal_forces(outcomes: Outcomes) -> Judged:
+def _normal_forces(outcomes: Outcomes) -> Claim:
     m = outcomes["optimal"].metrics
     worst = m.worst_normal_force_relative_error
     pairs = zip(m.final_normal_forces_N.values(), m.optimal_normal_forces_N.values(), strict=True)
     listed = ", ".join(f"{f:.4f}/{e:.4f}" for f, e in pairs)
-    return (
+    return Claim(
+        "Fig. 3d, (15)",
+        "Every normal force converges to k_f f*_n.",
         f"f_n / k_f f*_n: {listed} N; worst error {100 * worst:.4f} %",
         _verdict(worst < 1e-3, worst < 5e-2),
     )
 
 
-@_claim("(13c), (15)", "The normal forces sum to k_f.")
-def _sum(outcomes: Outcomes) -> Judged:
+def _sum(outcomes: Outcomes) -> Claim:
     m = outcomes["optimal"].metrics
     error = m.normal_force_sum_relative_error
-    return (
+    return Claim(
+        "(13c), (15)",
+        "The normal forces sum to k_f.",
         f"{m.normal_force_sum_N:.5f} N for k_f = {m.final_grasp_force_N:g} N, "
         f"{100 * error:.4f} % off",
         _verdict(error < 1e-4, error < 1e-2),
     )
 
 
-@_claim("Sec. IV-A", "While the object moves, normal forces deviate from k_f f*_n.")
-def _in_motion(outcomes: Outcomes) -> Judged:
+def _in_motion(outcomes: Outcomes) -> Claim:
     run = outcomes["optimal"]
     apart = derived.contact_forces(run.record)[:, :, 1] - derived.expected_normal_forces(run.record)
     largest, final = _largest(np.abs(apart[1:])), _largest(np.abs(apart[-1:]))
-    return (
+    return Claim(
+        "Sec. IV-A",
+        "While the object moves, normal forces deviate from k_f f*_n.",
         f"by up to {largest:.3f} N in motion, {final:.1e} N at the end",
         _verdict(largest > 10.0 * final),
     )
 
 
-@_claim("Sec. IV", "With k_f = 10 and without the relative attitude term, (14) loses no contact.")
-def _grasp_kept(outcomes: Outcomes) -> Judged:
+def _grasp_kept(outcomes: Outcomes) -> Claim:
     m = outcomes["optimal"].metrics
-    return (
+    return Claim(
+        "Sec. IV",
+        "With k_f = 10 and without the relative attitude term, (14) loses no contact.",
         f"{m.contacts_lost_ticks} of {m.ticks} ticks without one of the contacts",
         _verdict(m.contacts_lost_ticks == 0),
     )
 
 
-@_claim(
-    "Fig. 4, Sec. III", "Penalising tangential forces reduces the friction that each contact needs."
-)
-def _friction(outcomes: Outcomes) -> Judged:
+def _friction(outcomes: Outcomes) -> Claim:
     penalised = outcomes["optimal"].metrics.final_required_friction
     nominal = outcomes["nominal"].metrics.final_required_friction
     less = [penalised[name] < nominal[name] for name in penalised]
@@ -215,84 +190,85 @@ def _friction(outcomes: Outcomes) -> Judged:
         f"{name.replace('_', ' ')} {nominal[name]:.3f} -> {penalised[name]:.3f}"
         for name in penalised
     )
-    return (
+    return Claim(
+        "Fig. 4, Sec. III",
+        "Penalising tangential forces reduces the friction that each contact needs.",
         f"beta, nominal -> penalised: {listed}; the grasp as a whole needs "
         f"{worst[1]:.3f} -> {worst[0]:.3f}",
         _verdict(all(less), any(less)),
     )
 
 
-@_claim("(13b)", "f* has no effect on the motion: W and k_f change forces only.")
-def _internal_force(outcomes: Outcomes) -> Judged:
+def _internal_force(outcomes: Outcomes) -> Claim:
     names = {"nominal": "W = I", "firm": "twice k_f", "contact": "(10) for (14)"}
     apart = {key: _apart(outcomes["optimal"], outcomes[key]) for key in names}
     listed = ", ".join(f"{1e6 * apart[key]:.2f} um with {name}" for key, name in names.items())
-    return (
+    return Claim(
+        "(13b)",
+        "f* has no effect on the motion: W and k_f change forces only.",
         f"the centroid's path differs by at most {listed}",
         _verdict(max(apart.values()) < 1e-5, max(apart.values()) < 1e-3),
     )
 
 
-@_claim(
-    "Sec. III", "Squeezing through fingertips, (8), induces rolling; through contacts it does not."
-)
-def _rolling(outcomes: Outcomes) -> Judged:
+def _rolling(outcomes: Outcomes) -> Claim:
     keys = {"hold_kawamura": "(8)", "hold_contact": "(10)", "hold_optimal": "(14)"}
     rolled = {key: _largest(_until_loss(outcomes[key])) for key in keys}
     listed = ", ".join(f"{name} {_millimetres(rolled[key])}" for key, name in keys.items())
     end = _loss(outcomes["hold_kawamura"].metrics.first_contact_loss_s)
     induced = rolled["hold_kawamura"] > 1e-2
     still = max(rolled["hold_contact"], rolled["hold_optimal"]) < 1e-4
-    return (
+    return Claim(
+        "Sec. III",
+        "Squeezing through fingertips, (8), induces rolling; through contacts it does not.",
         f"held where it is, contacts roll over the object by {listed}; under (8) {end}",
         _verdict(induced and still, induced or still),
     )
 
 
-@_claim(
-    "Theorem 1, (9)", "Law (8) with Table I's gains reaches p_d (k_st = 0, as Table I prints none)."
-)
-def _kawamura(outcomes: Outcomes) -> Judged:
+def _kawamura(outcomes: Outcomes) -> Claim:
     m = outcomes["kawamura"].metrics
     end = _loss(m.first_contact_loss_s)
     lost = m.contacts_lost_ticks > 0
     error = m.final_position_error_m
     there = "" if math.isnan(error) else f", {_millimetres(error)} from p_d at the end"
-    return (
+    return Claim(
+        "Theorem 1, (9)",
+        "Law (8) with Table I's gains reaches p_d (k_st = 0, as Table I prints none).",
         f"{end}{there}; joint rates up to {m.peak_joint_rate_rad_per_s:.1f} rad/s",
         _verdict(not lost and error < 1e-3, not lost and error < 1e-2),
     )
 
 
-@_claim(
-    "below (10)", "K_p is formed from the gains of (8): the same k_p pulls alike in (8) and (14)."
-)
-def _stiffness(outcomes: Outcomes) -> Judged:
-    eight, fourteen = outcomes["kawamura"].scenario, outcomes["optimal"].scenario
-    fingers = len(outcomes["optimal"].record.finger_names)
-    gain = fourteen.manipulation_controller.law.k_p
-    tips, contacts = (
-        np.diag(translational_stiffness(eight)),
-        translational_stiffness(eight, "contacts"),
-    )
-    other = np.diag(translational_stiffness(fourteen, "contacts"))
-    listed = ", ".join(f"{value:.2f}" for value in np.diag(contacts))
-    return (
-        f"(8) pulls with {tips.mean():.2f} N/m at the tips ({fingers} times k_p) and {listed} N/m "
-        f"(x, y, z) at the contacts, (14) with {other.mean():.2f} N/m",
-        _verdict(bool(np.allclose(np.diag(contacts), gain, rtol=0.01))),
-    )
-
-
-@_claim("Sec. II, (7)", "Moving the virtual frame to its target moves the object there.")
-def _true_orientation(outcomes: Outcomes) -> Judged:
+def _true_orientation(outcomes: Outcomes) -> Claim:
     turned = outcomes["optimal"].metrics.max_object_rotation_in_grasp_rad
     moved = outcomes["optimal"].metrics.max_object_displacement_in_grasp_m
-    return (
+    return Claim(
+        "Sec. II, (7)",
+        "Moving the virtual frame to its target moves the object there.",
         f"the cube itself turns up to {math.degrees(turned):.1f} deg and shifts up to "
         f"{_millimetres(moved)} against the virtual frame, because the tips roll on it",
         _verdict(turned < 0.01 and moved < 1e-3, turned < 0.5),
     )
+
+
+def judge(outcomes: Outcomes) -> list[Claim]:
+    """Judge all claims by the experiments of one layout, in the order of the paper."""
+    judges = (
+        _position,
+        _orientation,
+        _rates,
+        _normal_forces,
+        _sum,
+        _in_motion,
+        _grasp_kept,
+        _friction,
+        _internal_force,
+        _rolling,
+        _kawamura,
+        _true_orientation,
+    )
+    return [each(outcomes) for each in judges]
 
 
 def _until_loss(run: ExperimentRun) -> derived.Array:
@@ -319,36 +295,3 @@ def _millimetres(metres: float) -> str:
 
 def _loss(time: float) -> str:
     return "no contact is lost" if math.isnan(time) else f"a contact is lost at {time:.2f} s"
-
-
-def translational_stiffness(scenario: Scenario, at: str = "tips") -> derived.Array:
-    """Return the force on the object per metre of position error, shape (3, 3), N/m.
-
-    The forces are those whose joint torques equal the drive of the law at the start of the run:
-    at the fingertip centers, where (8) is written, or at the contacts with the object.
-
-    Args:
-        scenario: Hand, object and law.
-        at: ``tips`` or ``contacts``.
-    """
-    plant = Plant(scenario.plant)
-    state, hand = plant.state, plant.hand
-    tips = hand.fingertips(state.theta)
-    config = scenario.manipulation_controller.law
-    law = CONTROL_LAWS[config.name](config, hand.radii)
-    law.seen = LawInput(tips, state.contacts, np.zeros((hand.fingers, 3)), grasp_force=0.0)
-    points = tips.positions if at == "tips" else state.contacts.positions
-    stiffness = np.empty((3, 3))
-    for axis in range(3):
-        wrench = np.zeros(6)
-        wrench[axis] = config.k_p  # of an error of one metre along this axis
-        stiffness[:, axis] = _resultant(tips, points, law.drive(wrench))
-    return stiffness
-
-
-def _resultant(tips: Fingertips, points: derived.Array, torque: derived.Array) -> derived.Array:
-    """Return the sum of the forces at points of the fingertips that joint torques amount to."""
-    jacobian = hand_jacobian(tips, points, np.tile(np.eye(3), (len(points), 1, 1)))
-    jacobian = jacobian.reshape(-1, len(torque))
-    forces = np.linalg.lstsq(jacobian.T, torque, rcond=None)[0]
-    return np.asarray(forces.reshape(-1, 3).sum(axis=0))

@@ -7,7 +7,6 @@ import math
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -23,9 +22,6 @@ REACHED = "goal reached"
 NOT_REACHED = "goal not reached"
 STEERED = "finished"
 """Of a run that a user steered and ended: no goal says where it should have come to."""
-
-BACK = 0.001
-"""Position error below which an object counts as back [m]."""
 
 
 def json_ready(value: Any) -> Any:
@@ -44,55 +40,6 @@ class Plain:
         """Return plain data for JSON, in which NaN and infinity become None."""
         plain: dict[str, Any] = json_ready(asdict(self))
         return plain
-
-
-@dataclass(frozen=True)
-class Settling(Plain):
-    """What became of the pose after a disturbance started.
-
-    Attributes:
-        start_s: When it started.
-        largest_error_m: Largest error of the contact centroid until the next event or the end.
-        recovery_time_s: From the start until the error stays below `BACK`; infinite where it does
-            not.
-        last_error_m: Error at the next event or the end.
-    """
-
-    start_s: float
-    largest_error_m: float
-    recovery_time_s: float
-    last_error_m: float
-
-
-def recoveries(record: Record, scenario: Scenario) -> list[Settling]:
-    """Return the recovery from each disturbance and each change of friction of a run.
-
-    Args:
-        record: The run; the pose is that which the hand estimates, and unknown while it holds.
-        scenario: What was run.
-    """
-    plant = scenario.plant
-    events = {d.start for d in plant.disturbances} | {c.start for c in plant.friction_changes}
-    starts = sorted(event for event in events if 0.0 < event < scenario.duration)
-    errors = np.linalg.norm(record.desired_position - record.auxiliary_position, axis=1)
-    return [
-        _recovery(record, errors, *span) for span in pairwise([*starts, scenario.duration + 1.0])
-    ]
-
-
-def _recovery(record: Record, errors: NDArray[np.float64], start: float, end: float) -> Settling:
-    rows = (record.times >= start) & (record.times < end)
-    times, own = record.times[rows], errors[rows]
-    if not np.isfinite(own).any():
-        return Settling(start, math.nan, math.inf, math.nan)
-    away = np.flatnonzero(~(own < BACK))  # unknown is away, too
-    if not len(away):
-        back = 0.0
-    elif away[-1] + 1 == len(own):
-        back = math.inf
-    else:
-        back = float(times[away[-1] + 1] - start)
-    return Settling(start, float(np.nanmax(own)), back, float(own[-1]))
 
 
 Array = NDArray[np.float64]

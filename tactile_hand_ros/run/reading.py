@@ -71,8 +71,7 @@ class HandTopics:
             types: Types in the bag by full topic name.
 
         Raises:
-            BagError: If one has another type, or there are commands without the ticks at which they
-                took effect.
+            BagError: If one has another type.
         """
         for topic, expected in self.types.items():
             if types.get(topic, expected) != expected:
@@ -80,12 +79,6 @@ class HandTopics:
                     f"The topic {topic} has the type {types[topic]}, expected {expected}; remap it "
                     "or record the right one."
                 )
-        sent, accepted = self.full(names.DESIRED_POSE), self.full(names.ACCEPTED_POSE)
-        if sent in types and accepted not in types:
-            raise BagError(
-                f"The bag has {sent} but not {accepted}, which holds when each pose took effect; "
-                "record it again with this version, and with that topic."
-            )
 
 
 def find_prefix(topics: Iterable[str], namespace: str | None, bag: object) -> str:
@@ -115,7 +108,7 @@ def find_prefix(topics: Iterable[str], namespace: str | None, bag: object) -> st
 
 
 def find_fingers(topics: Iterable[str], prefix: str) -> list[str]:
-    """Return the fingers named in topics, in natural order (finger_2 before finger_10)."""
+    """Return the fingers named in topics, shorter names first (finger_2 before finger_10)."""
     patterns = [re.escape(prefix) + p("([^/]+)") for p in _FORCES.values()]
     found = {
         match.group(1)
@@ -123,12 +116,7 @@ def find_fingers(topics: Iterable[str], prefix: str) -> list[str]:
         for pattern in patterns
         if (match := re.fullmatch(pattern, topic))
     }
-    return sorted(found, key=_natural)
-
-
-def _natural(name: str) -> list[tuple[int, str]]:
-    parts = re.findall(r"\d+|\D+", name)
-    return [(int(part), "") if part.isdigit() else (-1, part) for part in parts]
+    return sorted(found, key=lambda name: (len(name), name))
 
 
 Array = NDArray[np.float64]

@@ -19,7 +19,7 @@ from tactile_hand_ros.extras import optional
 from tactile_hand_ros.hand.hand import Hand
 from tactile_hand_ros.run.assumptions import Assumption, assumptions
 from tactile_hand_ros.run.events import Asked, Event, asked_events, events, releases
-from tactile_hand_ros.run.metrics import Metrics, Settling, metrics, recoveries
+from tactile_hand_ros.run.metrics import Metrics, metrics
 from tactile_hand_ros.run.recording import BagMetrics
 from tactile_hand_ros.scenario.scenario import Scenario, resolved
 
@@ -116,11 +116,6 @@ class RunData:
                 f"{recorded[0]} and {recorded[1]} in the bag."
             )
         return assumptions(self.record, hand), ""
-
-    @cached_property
-    def recoveries(self) -> list[Settling]:
-        """How long each disturbance kept the object away; empty without a scenario."""
-        return recoveries(self.record, self.scenario) if self.scenario is not None else []
 
     @cached_property
     def events(self) -> list[Event]:

@@ -17,8 +17,6 @@ def run(
     changes: Mapping[str, Any] | None = None,
     *,
     folder: Path | str,
-    metrics: Sequence[str] = (),
-    sampler: str = "",
     runs: int = 100,
     seed: int = 0,
     jobs: int = -1,
@@ -30,14 +28,12 @@ def run(
         over: Parameters as on the command line, such as ``plant.object.mass=0.05..0.5``.
         changes: Values that stay the same, by dotted key.
         folder: Of the results; an unfinished sweep in it is continued.
-        metrics: What is asked of each run; all by default.
-        sampler: By default a grid of choices, a Latin hypercube where there is a range.
-        runs: Number of runs.
-        seed: Of the sampler and of all runs.
+        runs: Number of runs, where a parameter is a range without levels.
+        seed: Of everything random.
         jobs: Number of processes, -1 for one on each core.
 
     Returns:
-        The table: ``column(name)``, ``fractions()``, ``medians()`` and ``effects()``.
+        The table: ``column(name)``, ``fractions()`` and ``medians()``.
 
     Raises:
         TactileHandError: If a name, path, range or value cannot be used.
@@ -53,9 +49,7 @@ def run(
     from tactile_hand_ros.sweep.sweep import make_sweep
     from tactile_hand_ros.sweep.table import keep, read_table
 
-    asked = make_sweep(
-        scenario, over, changes or {}, metrics, sampler=sampler, runs=runs, seed=seed
-    )
+    asked = make_sweep(scenario, over, changes or {}, runs=runs, seed=seed)
     with workers(jobs):
         keep(asked, Path(folder))
     return Results(asked, read_table(Path(folder)))

@@ -16,7 +16,7 @@ import numpy as np
 
 from tactile_hand_ros.errors import TactileHandError
 from tactile_hand_ros.extras import optional
-from tactile_hand_ros.sweep.space import SAMPLERS, Space
+from tactile_hand_ros.sweep.space import Space, points
 
 _PATIENCE = 10.0  # s, longest wait for a scheduler
 
@@ -51,15 +51,13 @@ class Study:
 
     Attributes:
         space: What is varied.
-        sampler: Name of one of `SAMPLERS`.
         run: Makes one run; pickled, and called in other processes.
-        runs: Number of runs; a grid comes as close as it can.
-        seed: Of the sampler and of all runs.
+        runs: Number of runs where a parameter has no levels.
+        seed: Of the points and of all runs.
         description: What else sets the study apart from others, plain data for JSON.
     """
 
     space: Space
-    sampler: str
     run: Callable[[Point], Any]
     runs: int = 0
     seed: int = 0
@@ -68,7 +66,7 @@ class Study:
     @functools.cached_property
     def fractions(self) -> Any:
         """The points of the study in the unit cube, shape (n, d)."""
-        return SAMPLERS[self.sampler](self.space, self.runs, self.seed)
+        return points(self.space, self.runs, self.seed)
 
     def point(self, index: int) -> Point:
         """Return one run."""

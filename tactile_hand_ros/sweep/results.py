@@ -1,13 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a sweep shows: fractions, medians and sensitivities, as numbers, a page and a figure."""
+"""What a sweep shows: fractions and medians, as numbers and as a page."""
 
 from __future__ import annotations
 
 import math
-import textwrap
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,15 +14,9 @@ from numpy.typing import NDArray
 from tactile_hand_ros import files
 from tactile_hand_ros.extras import optional
 from tactile_hand_ros.report import tables
-from tactile_hand_ros.report.style import PAGE, finger_color, look, new_figure
-from tactile_hand_ros.sweep.engine import OUTCOMES, REACHED, Study
-from tactile_hand_ros.sweep.space import Choice, Range
-from tactile_hand_ros.sweep.sweep import ScenarioRun
+from tactile_hand_ros.sweep.engine import OUTCOMES, Study
+from tactile_hand_ros.sweep.sweep import METRICS, ScenarioRun
 from tactile_hand_ros.sweep.table import Table
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 Array = NDArray[np.float64]
 Interval = tuple[float, float, float]
@@ -75,22 +68,17 @@ class Results:
     Attributes:
         study: What was asked.
         table: All columns.
-        parameters: The parameters that are numbers, by path.
-        metrics: The columns that were asked for.
         scenario: Name of the scenario.
     """
 
     def __init__(self, study: Study, table: Table) -> None:
         """Take a sweep of `make_sweep` and its table."""
         self.study, self.table = study, table
-        self.parameters = {path: p for path, p in study.space.items() if _is_number(p)}
         assert isinstance(study.run, ScenarioRun)
-        self.metrics, self.scenario = list(study.run.columns), study.run.base.name
+        self.scenario = study.run.base.name
 
     def column(self, name: str) -> Any:
-        """Return a column; ``reached`` is 1 where the goal was reached, else 0."""
-        if name == REACHED:
-            return (self.table["outcome"] == REACHED).astype(float)
+        """Return a column of the table."""
         found = self.table.get(name)  # a metric that no run knows has no column
         return np.full(len(self.table["outcome"]), math.nan) if found is None else found
 
@@ -102,81 +90,39 @@ class Results:
 
     def medians(self) -> list[tuple[str, int, Interval]]:
         """Return metric, number of runs that know it, and median with bootstrap interval."""
-        columns = {name: self.column(name) for name in self.metrics}
+        columns = {name: self.column(name) for name in METRICS}
         return [(n, int(np.isfinite(c).sum()), median_interval(c)) for n, c in columns.items()]
-
-    def effects(self) -> list[tuple[str, str, float]]:
-        """Return parameter, metric or ``reached``, and rank correlation; the strongest first."""
-        every = [
-            (path, name, _correlation(self.column(path), self.column(name)))
-            for name in (REACHED, *self.metrics)
-            for path in self.parameters
-        ]
-        known = [effect for effect in every if not math.isnan(effect[2])]
-        return sorted(known, key=lambda effect: -abs(effect[2]))
-
-
-def _is_number(parameter: Any) -> bool:
-    values = parameter.values if isinstance(parameter, Choice) else ()
-    return all(isinstance(v, int | float) and not isinstance(v, bool) for v in values)
-
-
-def _correlation(x: Array, y: Array) -> float:
-    """Return Spearman's rank correlation; NaN where it is not known."""
-    known = np.isfinite(y)
-    if known.sum() < 4 or not np.ptp(x[known]) or not np.ptp(y[known]):
-        return math.nan
-    return float(optional("scipy.stats", "A rank correlation").spearmanr(x[known], y[known])[0])
 
 
 SUMMARY = "summary.md"
-FRACTION_COLUMNS = ("outcome", "runs", "fraction", "95 % interval")
-EFFECT_COLUMNS = ("parameter", "metric", "rank correlation")
-METRIC_COLUMNS = ("metric", "runs", "median", "95 % interval")
 
 
-def fraction_rows(results: Results) -> list[list[str]]:
-    """Return outcomes as text, columns as in `FRACTION_COLUMNS`."""
-    return [
-        [outcome, f"{count} of {runs}", *_texts(fraction, _percent)]
+def summary_tables(results: Results) -> list[tuple[tuple[str, ...], list[list[str]]]]:
+    """Return columns and rows of the outcomes and of the metrics, as text."""
+    outcomes = [
+        [outcome, f"{count} of {runs}", *_texts(fraction, lambda x: f"{100 * x:.1f} %")]
         for outcome, count, runs, fraction in results.fractions()
     ]
-
-
-def metric_rows(results: Results) -> list[list[str]]:
-    """Return metrics as text, columns as in `METRIC_COLUMNS`."""
+    metrics = [
+        [name, str(count), *_texts(median, lambda x: f"{x:.3g}")]
+        for name, count, median in results.medians()
+    ]
     return [
-        [name, str(count), *_texts(median, _number)] for name, count, median in results.medians()
+        (("outcome", "runs", "fraction", "95 % interval"), outcomes),
+        (("metric", "runs", "median", "95 % interval"), metrics),
     ]
 
 
-def effect_rows(results: Results) -> list[list[str]]:
-    """Return rank correlations as text, columns as in `EFFECT_COLUMNS`."""
-    return [[parameter, name, _number(value)] for parameter, name, value in results.effects()]
-
-
-def write_summary(results: Results, folder: Path, pictures: Sequence[Path]) -> Path:
-    """Write the summary of a sweep with its figures; return the file."""
+def write_summary(results: Results, folder: Path) -> Path:
+    """Write the summary of a sweep and return the file."""
     study = results.study
     text = [
         f"# {results.scenario} over {', '.join(study.space)}\n",
-        f"{study.runs} runs asked for, sampler {study.sampler}, seed {study.seed}. Each row of "
-        "`runs.csv` is a run.\n",
-        tables.markdown(FRACTION_COLUMNS, fraction_rows(results)),
-        tables.markdown(METRIC_COLUMNS, metric_rows(results)),
-        tables.markdown(EFFECT_COLUMNS, effect_rows(results)),
-        *(f"![{picture.stem}]({picture.name})\n" for picture in pictures),
+        f"Seed {study.seed}. Each row of `runs.csv` is a run.\n",
+        *(tables.markdown(*table) for table in summary_tables(results)),
     ]
     files.replace_text(folder / SUMMARY, "\n".join(text))
     return folder / SUMMARY
-
-
-def _number(value: float) -> str:
-    return f"{value:.3g}"
-
-
-def _percent(value: float) -> str:
-    return f"{100 * value:.1f} %"
 
 
 def _texts(values: Sequence[float], text: Callable[[float], str]) -> tuple[str, str]:
@@ -184,43 +130,3 @@ def _texts(values: Sequence[float], text: Callable[[float], str]) -> tuple[str, 
     if math.isnan(values[0]):
         return "unknown", ""
     return text(values[0]), f"{text(values[1])} to {text(values[2])}"
-
-
-_MOST_PARAMETERS = 4  # that fit next to each other
-
-
-def figure(results: Results) -> Figure | None:
-    """Draw all runs, colored by outcome; None without a parameter of numbers."""
-    paths = list(results.parameters)[:_MOST_PARAMETERS]
-    if not paths or not len(results.table["outcome"]):
-        return None
-    names = [name for name in results.metrics if np.isfinite(results.column(name)).any()]
-    names = names or [REACHED]
-    with look():
-        made = new_figure(PAGE if len(paths) > 1 else 0.6 * PAGE, 0.5 + 1.5 * len(names))
-        panels = made.subplots(len(names), len(paths), squeeze=False, sharey="row", sharex="col")
-        for row, name in enumerate(names):
-            for column, path in enumerate(paths):
-                _draw(panels[row, column], results, path, name)
-            panels[row, 0].set_ylabel(_label(name))
-        for column, path in enumerate(paths):
-            panels[-1, column].set_xlabel(path)
-        made.legend(*panels[0, 0].get_legend_handles_labels(), loc="outside upper center", ncols=4)
-    return made
-
-
-def _draw(axes: Axes, results: Results, path: str, name: str) -> None:
-    x, y, outcomes = results.column(path), results.column(name), results.table["outcome"]
-    for number, outcome in enumerate(OUTCOMES):
-        came = outcomes == outcome
-        axes.plot(x[came], y[came], ".", color=finger_color(number), markersize=2.5, label=outcome)
-    parameter = results.parameters[path]
-    if isinstance(parameter, Range) and parameter.is_log:
-        axes.set_xscale("log")
-
-
-def _label(name: str) -> str:
-    """Return a column as people write it: its unit in brackets, in short lines."""
-    words, _, unit = name.rpartition("_")
-    words, unit = (words, f" [{unit}]") if unit in ("m", "rad", "N", "s") else (name, "")
-    return textwrap.fill(words.replace("_", " ") + unit, 18)

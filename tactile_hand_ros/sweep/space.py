@@ -3,9 +3,7 @@
 
 from __future__ import annotations
 
-import math
-import warnings
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -30,7 +28,7 @@ class Range:
         high: Upper bound, itself included.
         is_log: Whether equal ratios are equally likely, instead of equal differences.
         is_whole: Whether only whole numbers are meant.
-        levels: Values of it that a grid takes; 0 leaves that to the grid.
+        levels: Number of values that are tried; 0 for values anywhere in the range.
     """
 
     low: float
@@ -41,6 +39,8 @@ class Range:
 
     def value(self, fraction: float) -> float | int:
         """Return the value at a fraction of the range, 0 to 1."""
+        if self.levels:
+            fraction = min(int(fraction * self.levels), self.levels - 1) / (self.levels - 1)
         if self.is_whole:
             span = int(self.high) - int(self.low) + 1
             return int(self.low) + min(int(fraction * span), span - 1)
@@ -113,33 +113,21 @@ def _range(refusal: str, text: str, is_whole: bool) -> Range:
     return found
 
 
-def grid(space: Space, runs: int, seed: int) -> Array:
-    """Return all combinations of levels; ranges without levels divide what `runs` leaves."""
-    del seed
-    fixed = math.prod(p.levels for p in space.values() if p.levels)
-    free = sum(not p.levels for p in space.values())
-    each = max(2, round((runs / fixed) ** (1.0 / free))) if free else 0
-    shape = tuple(p.levels or each for p in space.values())
-    levels = np.indices(shape).reshape(len(shape), -1).T
-    return np.asarray(levels / np.maximum(1, np.array(shape) - 1))
+def points(space: Space, runs: int, seed: int) -> Array:
+    """Return the runs of a study as points in the unit cube, shape (n, d).
 
+    Where every parameter has levels these are all combinations, else a Latin hypercube.
 
-def _by_scipy(name: str) -> Callable[[Space, int, int], Array]:
-    def sample(space: Space, runs: int, seed: int) -> Array:
-        qmc = optional("scipy.stats.qmc", "Sampling a study")
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", UserWarning)  # Sobol' prefers powers of two
-            # `seed` is the name that all supported versions of scipy know.
-            sampler = getattr(qmc, name)(d=len(space), seed=np.random.default_rng(seed))
-            return np.asarray(sampler.random(runs))
-
-    return sample
-
-
-SAMPLERS: dict[str, Callable[[Space, int, int], Array]] = {
-    "grid": grid,
-    "latin": _by_scipy("LatinHypercube"),
-    "sobol": _by_scipy("Sobol"),
-    "random": lambda space, runs, seed: np.random.default_rng(seed).random((runs, len(space))),
-}
-"""Each returns the points of a study in the unit cube, shape (n, d)."""
+    Args:
+        space: What is varied.
+        runs: Number of points of the hypercube.
+        seed: Of the hypercube.
+    """
+    shape = tuple(parameter.levels for parameter in space.values())
+    if all(shape):
+        combinations = np.indices(shape).reshape(len(shape), -1).T
+        return np.asarray(combinations / np.maximum(1, np.array(shape) - 1))
+    qmc = optional("scipy.stats.qmc", "Sampling a study")
+    # `seed` is the name that all supported versions of scipy know.
+    sampler = qmc.LatinHypercube(d=len(space), seed=np.random.default_rng(seed))
+    return np.asarray(sampler.random(runs))

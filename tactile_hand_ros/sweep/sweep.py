@@ -13,7 +13,6 @@ import numpy as np
 
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
 from tactile_hand_ros.closed_loop.record import Record
-from tactile_hand_ros.config.explanation import did_you_mean
 from tactile_hand_ros.config.model import leaves
 from tactile_hand_ros.control.grasp import required_friction
 from tactile_hand_ros.control.own_law import take_law
@@ -21,7 +20,7 @@ from tactile_hand_ros.errors import ConfigurationError
 from tactile_hand_ros.run.metrics import START_S, Metrics, metrics
 from tactile_hand_ros.scenario.scenario import Scenario, load_scenario, plain
 from tactile_hand_ros.sweep.engine import LOST, MISSED, REACHED, Point, Study
-from tactile_hand_ros.sweep.space import SAMPLERS, Choice, Range, parse_parameter
+from tactile_hand_ros.sweep.space import Choice, parse_parameter
 
 Measure = Callable[[Record, Scenario, Metrics], float]
 
@@ -62,37 +61,27 @@ def _of(name: str) -> Measure:
     return lambda record, scenario, metrics: float(getattr(metrics, name))
 
 
-METRICS: Mapping[str, Mapping[str, Measure]] = {
-    "outcome": {},
-    "slip": {"max_slip_distance_m": _of("max_slip_distance_m")},
-    "error": {
-        "final_position_error_m": _of("final_position_error_m"),
-        "final_true_position_error_m": true_position_error,
-        "final_rotation_error_rad": _of("final_rotation_error_rad"),
-    },
-    "peak_force": {"peak_normal_force_N": _of("peak_normal_force_N")},
-    "margin": {"least_friction_margin": friction_margin},
-    "settling_time": {"settling_time_s": _of("settling_time_s")},
+METRICS: Mapping[str, Measure] = {
+    "max_slip_distance_m": _of("max_slip_distance_m"),
+    "final_position_error_m": _of("final_position_error_m"),
+    "final_true_position_error_m": true_position_error,
+    "final_rotation_error_rad": _of("final_rotation_error_rad"),
+    "peak_normal_force_N": _of("peak_normal_force_N"),
+    "least_friction_margin": friction_margin,
+    "settling_time_s": _of("settling_time_s"),
 }
-"""By the name on the command line, the columns that a metric gives."""
+"""The columns of a sweep: what is measured in each run."""
 
 
 @dataclass(frozen=True)
 class ScenarioRun:
-    """Makes the runs of a sweep: called with a point, it returns what is asked of that run.
+    """Makes the runs of a sweep: called with a point, it returns `METRICS` and outcome of that run.
 
     Attributes:
         base: The scenario, before anything is varied.
-        metrics: What is asked of each run, of `METRICS`.
     """
 
     base: Scenario
-    metrics: Sequence[str]
-
-    @property
-    def columns(self) -> dict[str, Measure]:
-        """The columns that were asked for, in their order."""
-        return {name: m for asked in self.metrics for name, m in METRICS[asked].items()}
 
     def __call__(self, point: Point) -> dict[str, Any]:
         """Make a run."""
@@ -100,7 +89,7 @@ class ScenarioRun:
         take_law(scenario.manipulation_controller.law)  # named by the user of the sweep
         record = ClosedLoop(scenario).run()
         found = metrics(record, scenario)
-        numbers = {name: m(record, scenario, found) for name, m in self.columns.items()}
+        numbers = {name: m(record, scenario, found) for name, m in METRICS.items()}
         return {**numbers, "outcome": outcome(record, found)}
 
     def scenario_of(self, point: Point) -> Scenario:
@@ -116,9 +105,7 @@ def make_sweep(
     scenario: str,
     over: Sequence[str],
     fixed: Mapping[str, Any],
-    metrics: Sequence[str],
     *,
-    sampler: str = "",
     runs: int = 100,
     seed: int = 0,
 ) -> Study:
@@ -128,35 +115,21 @@ def make_sweep(
         scenario: Name or file.
         over: Parameters, see `parse_parameter`.
         fixed: Values that stay the same, by path.
-        metrics: What is asked, of `METRICS`; all by default.
-        sampler: Name of one of `SAMPLERS`; by default a grid of choices, a Latin hypercube where
-            there is a range.
-        runs: Number of runs.
-        seed: Of the sampler and of all runs.
+        runs: Number of runs, where a parameter is a range without levels.
+        seed: Of everything random.
 
     Raises:
         ConfigurationError: If a name, path, range or value cannot be used.
     """
-    base, asked = load_scenario(scenario, fixed), tuple(metrics or METRICS)
+    base = load_scenario(scenario, fixed)
     if not over:
         raise ConfigurationError(
             "nothing is varied; give --over such as --over plant.object.mass=0.05..0.5."
         )
     whole = {path for path, field in leaves(Scenario).items() if field.annotation is int}
     space = dict(parse_parameter(each, whole) for each in over)
-    has_range = any(isinstance(parameter, Range) for parameter in space.values())
-    sampler = sampler or ("latin" if has_range else "grid")
-    _check_name("--sampler", sampler, SAMPLERS)
-    for name in asked:
-        _check_name("--metric", name, METRICS)
     for path, parameter in space.items():
         ends = map(parameter.value, (0.0, 1.0))
         for value in parameter.values if isinstance(parameter, Choice) else ends:
             base.changed({path: value})
-    description = {"scenario": plain(base), "metrics": list(asked)}
-    return Study(space, sampler, ScenarioRun(base, asked), runs, seed, description)
-
-
-def _check_name(option: str, name: str, valid: Mapping[str, Any]) -> None:
-    if name not in valid:
-        raise ConfigurationError(f"{option} is '{name}'{did_you_mean(name, valid)}")
+    return Study(space, ScenarioRun(base), runs, seed, {"scenario": plain(base)})

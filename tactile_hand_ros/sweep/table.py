@@ -106,7 +106,6 @@ def _begin(study: Study, folder: Path) -> set[int]:
     file, rows = folder / DESCRIPTION, folder / ROWS
     content = {
         "version": tactile_hand_ros.__version__,
-        "sampler": study.sampler,
         "runs": study.runs,
         "seed": study.seed,
         "over": {name: str(parameter) for name, parameter in study.space.items()},

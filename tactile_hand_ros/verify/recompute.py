@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Recomputation: the recorded sensor topics once more through the controllers, in-process.
 
-With the configuration of the run every number must come out as it was recorded, to the bit. With
-another configuration or law the difference shows what that controller would have answered at the
-same ticks (a shadow controller: its answers do not move the hand).
+Every number must come out as it was recorded, to the bit. With another law the difference shows
+what that law would have answered at the same ticks; its answers do not move the hand.
 
 Desired poses, grasp forces, live parameters and service calls are applied at the ticks at which the
 nodes published that they took effect.
@@ -14,7 +13,6 @@ from __future__ import annotations
 import contextlib
 import copy
 from collections import deque
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -31,9 +29,9 @@ from tactile_hand_ros.control.slip.regulator import SlipRegulator
 from tactile_hand_ros.errors import BagError, GraspError
 from tactile_hand_ros.rotations import quaternion_from_rotation
 from tactile_hand_ros.run.run import Run
-from tactile_hand_ros.scenario.scenario import Scenario
 from tactile_hand_ros.verify.recorded_inputs import (
     CONTROLLERS,
+    OF_LAW,
     PARAMETERS,
     Change,
     Inputs,
@@ -98,12 +96,10 @@ class Recomputation:
     Attributes:
         record: The run as recomputed; what controllers do not answer is as recorded.
         comparisons: Topic by topic.
-        scenario: The configuration that was used.
     """
 
     record: Record
     comparisons: list[Comparison]
-    scenario: Scenario
 
     @property
     def same(self) -> bool:
@@ -111,28 +107,17 @@ class Recomputation:
         return all(comparison.same for comparison in self.comparisons)
 
 
-def recompute(run: Run, changes: Mapping[str, Any] | None = None) -> Recomputation:
+def recompute(run: Run, law: str = "") -> Recomputation:
     """Feed the sensor topics of a run through the controllers.
 
     Args:
         run: The run; its scenario must be known.
-        changes: Other values by dotted key, another law among them.
+        law: Another law than the recorded one, or that one again if it is the user's own: a
+            recording imports no code.
 
     Raises:
         BagError: If the scenario is not known.
-        TactileHandError: If a change is refused.
-    """
-    base = scenario_of(run)
-    wanted = base.changed(changes or {})
-    record = ShadowLoop(read_inputs(run, base).changed(base, wanted)).run()
-    return Recomputation(record, compare(run.record, record), wanted)
-
-
-def scenario_of(run: Run) -> Scenario:
-    """Return the scenario of a run.
-
-    Raises:
-        BagError: If the bag does not hold it, or holds one of another version.
+        TactileHandError: If the law cannot be used.
     """
     if run.scenario is None:
         reason = run.scenario_problem or "the bag does not hold it"
@@ -140,7 +125,9 @@ def scenario_of(run: Run) -> Scenario:
             f"The configuration of {run.bag} is needed but not known ({reason}); record with "
             "`scenario`, or put scenario.yaml next to the bag."
         )
-    return run.scenario
+    scenario = run.scenario.changed({"law": law} if law else {})
+    record = ShadowLoop(read_inputs(run, scenario, of_scenario=OF_LAW if law else ())).run()
+    return Recomputation(record, compare(run.record, record))
 
 
 def compare(recorded: Record, other: Record) -> list[Comparison]:

@@ -3,8 +3,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from tactile_hand_ros import names
 from tactile_hand_ros.bag.reader import read_messages
 from tactile_hand_ros.closed_loop.record import Record
-from tactile_hand_ros.config.model import Config, flatten
+from tactile_hand_ros.config.model import Config
 from tactile_hand_ros.control.contact import Contacts
 from tactile_hand_ros.control.laws import Target
 from tactile_hand_ros.run.events import nanoseconds, read_asked
@@ -31,6 +31,8 @@ _FIELDS = (
 
 CONTROLLERS = (names.REGULATOR, names.OPTIMIZER, names.CONTROLLER)
 PARAMETERS = "parameters"
+OF_LAW = ("law.name", "law.folder")
+"""Parameters of the controller that choose its law."""
 
 
 class Change(NamedTuple):
@@ -75,27 +77,14 @@ class Inputs:
         given: Flags = np.asarray(np.isfinite(answers.reshape(len(answers), -1)).any(axis=1))
         return given if self.may_skip else np.ones(len(given), dtype=np.bool_)
 
-    def changed(self, base: Scenario, wanted: Scenario) -> Inputs:
-        """Return these inputs with the configurations changed as one scenario is from another."""
-        changes = {}
-        for node, recorded in self.changes.items():
-            before, after = (flatten(each.node_config(node)) for each in (base, wanted))
-            other = {name: value for name, value in after.items() if value != before[name]}
-            changes[node] = [
-                change._replace(value=change.value.changed(other))
-                if change.name == PARAMETERS
-                else change
-                for change in recorded
-            ]
-        return replace(self, changes=changes)
 
-
-def read_inputs(run: Run, scenario: Scenario) -> Inputs:
+def read_inputs(run: Run, scenario: Scenario, of_scenario: Collection[str] = ()) -> Inputs:
     """Collect the inputs of a run.
 
     Args:
         run: The run.
         scenario: Its scenario, for controllers of which the bag does not hold the configuration.
+        of_scenario: Parameters that are those of the scenario in any case.
 
     Raises:
         BagError: If the bag cannot be read.
@@ -113,7 +102,7 @@ def read_inputs(run: Run, scenario: Scenario) -> Inputs:
     commands = {names.REGULATOR: _forces(run), names.OPTIMIZER: [], names.CONTROLLER: _poses(run)}
     changes = {}
     for node in CONTROLLERS:
-        first, *later = _configurations(run, node, scenario.node_config(node))
+        first, *later = _configurations(run, node, scenario.node_config(node), of_scenario)
         later += [*_requests(run, node), *commands[node]]
         changes[node] = [first, *sorted(later, key=lambda change: change.stamp)]
     return Inputs(record, contacts, measured, changes, scenario.plant.pacing == "realtime")
@@ -139,13 +128,15 @@ def _numbers(run: Run, topic: str, name: str, count: int) -> tuple[list[int], Ar
     return series.stamps.tolist(), series.rows(name, count)
 
 
-def _configurations(run: Run, node: str, config: Config) -> list[Change]:
+def _configurations(
+    run: Run, node: str, config: Config, of_scenario: Collection[str]
+) -> list[Change]:
     """Return the configurations of a node, or the given one where the bag has none."""
     topic = run.topics.full(names.accepted_parameters(node))
-    changes = [
-        Change(nanoseconds(event.stamp), PARAMETERS, config.changed(_values(event)))
-        for event in (each.message for each in read_messages(run.bag, [topic]))
-    ]
+    changes = []
+    for event in (each.message for each in read_messages(run.bag, [topic])):
+        recorded = {k: v for k, v in _values(event).items() if k not in of_scenario}
+        changes.append(Change(nanoseconds(event.stamp), PARAMETERS, config.changed(recorded)))
     # A late subscriber gets the last ones of earlier runs too, so log times do not separate them.
     stamps = [change.stamp for change in changes]
     resets = [i for i in range(1, len(stamps)) if stamps[i] < stamps[i - 1]]

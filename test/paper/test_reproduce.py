@@ -12,10 +12,8 @@ from tactile_hand_ros.reproduce.claims import (
     LAYOUTS,
     ExperimentRun,
     run_experiment,
-    translational_stiffness,
 )
 from tactile_hand_ros.run import derived
-from tactile_hand_ros.scenario.scenario import load_scenario
 
 LAWS = ("optimal", "contact", "kawamura")
 
@@ -94,15 +92,3 @@ def test_kawamuras_law_starts_with_the_forces_of_theorem_1() -> None:
     record = outcome("kawamura", duration=3.5).record
     distances = np.array([0.1902, 0.1902, 0.1902 - 0.1902 / 3.0])
     np.testing.assert_allclose(record.forces[1, :, 1], 10.0 * distances / 0.18, rtol=0.02)
-
-
-@pytest.mark.parametrize("layout", LAYOUTS)
-def test_kawamuras_law_pulls_once_a_finger(layout: str) -> None:
-    """Its translational stiffness is k times k_p, that of (10) and (14) is k_p."""
-    names = {"kawamura": 9.0, "contact_law": 3.0, "paper": 3.0}
-    for name, expected in names.items():
-        scenario = load_scenario(name, {"layout": layout})
-        at = "tips" if name == "kawamura" else "contacts"
-        np.testing.assert_allclose(
-            translational_stiffness(scenario, at), expected * np.eye(3), atol=1e-9
-        )

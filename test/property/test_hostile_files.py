@@ -5,17 +5,15 @@ from __future__ import annotations
 
 import shutil
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
-from support.hostile import hostile, write_sample_bag
+from support.hostile import hostile
 
-from tactile_hand_ros.bag.reader import read_messages, summarize
-from tactile_hand_ros.bag.recover import recover
 from tactile_hand_ros.config.plain_yaml import find_file
 from tactile_hand_ros.errors import TactileHandError
 from tactile_hand_ros.hand.hand import Hand
@@ -24,7 +22,7 @@ from tactile_hand_ros.scenario.scenario import load_scenario
 LONGEST = 5.0
 """Most processor time that one hostile file may take [s]."""
 
-HOSTILE, OF_BAGS = hostile(100), hostile(30)
+HOSTILE = hostile(100)
 FILES = {"scenario": find_file("scenario", "pull"), "hand": find_file("hand", "paper")}
 URDF = (FILES["hand"].parent / "paper.urdf").read_text()
 NASTY = (
@@ -104,61 +102,3 @@ def test_urdf(folder: Path, text: str) -> None:
     write(folder / "paper.urdf", text)
     with refused_in_time():
         Hand.load(str(folder / "paper.yaml"))
-
-
-@pytest.fixture(scope="module")
-def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return a bag of two topics."""
-    return write_sample_bag(tmp_path_factory.mktemp("bag") / "bag")
-
-
-def copied(bag: Path, to: Path) -> Path:
-    """Return a fresh copy of a bag."""
-    shutil.rmtree(to, ignore_errors=True)
-    shutil.copytree(bag, to / "bag")
-    return to / "bag"
-
-
-def use(bag: Path) -> None:
-    """Do with a bag what the commands do, each whether or not the one before was refused."""
-    calls: list[Callable[[], object]] = [
-        lambda: summarize(bag),
-        lambda: [each.message for each in read_messages(bag)],
-        lambda: recover(bag, bag.parent / "out"),
-    ]
-    for call in calls:
-        with refused_in_time():
-            call()
-
-
-@OF_BAGS
-@given(data=st.data())
-def test_metadata(bag: Path, tmp_path: Path, data: st.DataObject) -> None:
-    copy = copied(bag, tmp_path / "work")
-    file = copy / "metadata.yaml"
-    write(file, data.draw(yaml_like(file.read_text())))
-    use(copy)
-    outside = {path.name for path in (tmp_path / "work").iterdir()}
-    assert outside <= {"bag", "out"}
-    assert {path.name for path in tmp_path.iterdir()} == {"work"}
-
-
-@OF_BAGS
-@given(data=st.data())
-def test_mcap(bag: Path, tmp_path: Path, data: st.DataObject) -> None:
-    """Bytes and the sizes that they announce are changed, parts are missing or come twice."""
-    copy = copied(bag, tmp_path / "work")
-    file = copy / "bag_0.mcap"
-    content = bytearray(file.read_bytes())
-    for _ in range(data.draw(st.integers(1, 4))):
-        at = data.draw(st.integers(0, len(content) - 1))
-        size = data.draw(st.integers(0, 40))
-        new = data.draw(
-            st.binary(min_size=size, max_size=size)
-            | st.sampled_from([b"", b"\xff" * 8, b"\xff\xff\xff\x7f", bytes(9), content[-40:]])
-            | st.just(bytes(content[at - size : at]))
-        )
-        content[at : at + size] = new
-        content = content or bytearray(b"\0")
-    file.write_bytes(content)
-    use(copy)

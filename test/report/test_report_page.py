@@ -18,15 +18,10 @@ from tactile_hand_ros.closed_loop.loop import ClosedLoop
 from tactile_hand_ros.closed_loop.record import Record
 from tactile_hand_ros.control.slip.detector import ContactState
 from tactile_hand_ros.hand.hand import Hand
-from tactile_hand_ros.report.page import write_comparison, write_report
+from tactile_hand_ros.report.page import write_report
 from tactile_hand_ros.run.run import Run
 from tactile_hand_ros.scenario.scenario import Scenario, load_scenario, resolved
 
-FARTHEST = """return Math.max(...report.scenes.flatMap((scene) =>
-    [...scene.solid.corners(), ...scene.badges.map((badge) => badge.group.position.clone())]
-        .map((point) => point.project(scene.view.camera))
-        .flatMap(({x, y}) => [Math.abs(x), Math.abs(y)])))"""
-"""How far out corners of the objects and badges are, in half heights or widths of the picture."""
 PICTURE = "const s = report.scene; s.draw(); return s.renderer.domElement.toDataURL()"
 
 TIPS = "return report.scene.hand.tips.map(({node}) => node.matrixWorld.elements.slice(12, 15))"
@@ -263,36 +258,6 @@ def test_without_webgl_the_plots_are_there(tmp_path: Path, run: Run) -> None:
         page.js("report.player.seek(0.25)")
         assert page.js("return report.charts.length") == 6
         assert page.js("return report.charts[0].playhead.style.transform").startswith("translate")
-
-
-def test_a_comparison_overlays_runs(page: Page, run: Run, tmp_path: Path) -> None:
-    scenario = load_scenario("paper", {"duration": 0.4})
-    other = save(tmp_path, ClosedLoop(scenario).run(), scenario)
-    page.open(write_comparison([run, other], tmp_path / "comparison.html"))
-    lines = page.js("return report.charts.map(({plot}) => plot.series.length - 1)")
-    assert len(lines) == 9 and set(lines) == {2}
-    titles = [each.text for each in page.driver.find_elements(By.CSS_SELECTOR, ".panel h2")]
-    assert "Metrics" in titles
-    heads = page.driver.find_elements(By.CSS_SELECTOR, "thead th")
-    assert [head.text for head in heads[:3]] == ["", "1 pull", "2 paper"]
-    assert page.js("return report.scenes.length") == 2
-    page.wait(lambda: page.js("return report.scenes.every((scene) => scene.frames > 0)"))
-    assert page.js(FARTHEST) < 1.0, "the object or the number of a finger is cut off"
-    assert min(page.js("return report.scenes.map((scene) => scene.colours())")) > 200
-    assert "plant.object.friction" in page.js(
-        "return document.querySelector('.settings').textContent"
-    )
-    page.js("report.scenes[0].view.look('top')")
-    assert page.js(
-        """const [one, other] = report.scenes.map((scene) => scene.view.camera.position.toArray());
-           return Math.max(...one.map((place, i) => Math.abs(place - other[i])))"""
-    ) == pytest.approx(0.0, abs=1e-6)
-    page.js("report.player.seek(0.2)")
-    squeeze = page.js("return report.charts[2].items.map((item) => item.value.textContent)")
-    records = (run.record, other.record)
-    expected = [each.grasp_force[np.searchsorted(each.times, 0.2)] for each in records]
-    assert [float(text) for text in squeeze] == pytest.approx(expected, rel=0.05)
-    assert_quiet(page)
 
 
 def test_a_dropped_object_leaves_the_picture(page: Page, tmp_path: Path) -> None:

@@ -1,10 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is attacked with hostile bytes: readers of messages, and a bag; and how often."""
+"""What is attacked with hostile bytes: readers of messages; and how often."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -12,7 +11,6 @@ from hypothesis import HealthCheck, settings
 from rclpy.serialization import serialize_message
 from std_msgs.msg import Float64
 
-from tactile_hand_ros.bag.writer import BagWriter
 from tactile_hand_ros.ros.messages import (
     ContactsCodec,
     JointCodec,
@@ -75,13 +73,3 @@ def message_readers() -> dict[str, Reader]:
 
 def _read_number(data: bytes) -> tuple[int, Any]:
     return 0, read_number(data)
-
-
-def write_sample_bag(folder: Path) -> Path:
-    """Write a bag of small chunks, and return its folder."""
-    with BagWriter(folder, chunk_size=300, custom_data={"scenario": "name: x\n"}) as writer:
-        for name in ("Float64", "String"):
-            channel = writer.add_channel(f"/{name}", f"std_msgs/msg/{name}")
-            for i in range(20):
-                writer.write(channel, b"\0\1\0\0\4\0\0\0abc\0" + bytes(4), i, i)
-    return folder

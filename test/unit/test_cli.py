@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import signal
 import subprocess
@@ -87,32 +86,23 @@ def test_summary(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
         assert text in printed
 
 
-def test_figures_of_a_bare_bag(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    (run / "scenario.yaml").unlink()
-    assert main(["figures", str(run / "bag"), "--out", str(run / "here")]) == 0
-    assert "Fig. 2 (hand and object in space) was left out" in capsys.readouterr().err
-    names = sorted(file.name for file in (run / "here").iterdir())
-    assert names == ["fig3.png", "fig3.svg", "fig4.png", "fig4.svg"]
-
-
 def test_a_summary_of_a_hand_that_is_elsewhere_lacks_its_assumptions(
     run: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     text = (run / "scenario.yaml").read_text()
     (run / "scenario.yaml").write_text(text.replace("hand: paper", "hand: ~nobody-here/hand.yaml"))
-    assert main(["summary", str(run), "--json"]) == 0
+    assert main(["summary", str(run)]) == 0
     printed = capsys.readouterr()
     said = "note: The assumptions are left out, because the hand is not known here: hand file '~no"
     assert printed.err.startswith(said) and printed.err.count("\n") == 1
-    told = json.loads(printed.out)
-    assert told["assumptions"] == [] and told["metrics"]["ticks"] == 20
+    assert "20 ticks" in printed.out and "held" not in printed.out
 
 
 def test_recover(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """The refusal names the command, which makes a bag that opens."""
     file = run / "bag" / "bag_0.mcap"
-    assert main(["recover", str(run)]) == 0
-    assert "nothing to recover" in capsys.readouterr().out
+    assert main(["recover", str(run), "--out", str(run / "copy")]) == 0
+    assert capsys.readouterr().out.endswith("nothing is lost\n")
     file.write_bytes(file.read_bytes()[:-3000])
     assert "tactile-hand recover" in refused(capsys, "summary", run)
     assert main(["recover", str(run)]) == 0
@@ -125,7 +115,6 @@ def test_recover(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
 def test_unknown_names(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert "did you mean 'paper'" in refused(capsys, "show", "papr")
     assert "no hand in the namespace 'left'" in refused(capsys, "summary", run, "--namespace=left")
-    assert "expected two or more to compare" in refused(capsys, "compare", run)
     out = f"--out={run / 'x'}"
     assert "no layout 'fist'" in refused(capsys, "reproduce", "--layout=fist", out)
     assert "--duration: duration is nan" in refused(capsys, "reproduce", "--duration=nan", out)

@@ -68,13 +68,6 @@ def test_a_law_is_given_as_a_class_or_by_name() -> None:
         simulate("paper", SHORT, law=int)
 
 
-def test_a_wrong_key_is_named_as_it_was_given() -> None:
-    with pytest.raises(ConfigurationError) as caught:
-        simulate("paper", {"plant.object.wight": 1.0})
-    assert str(caught.value).startswith("the change of plant.object.wight: unknown key 'wight'")
-    assert "--set" not in str(caught.value)
-
-
 def test_a_sweep_returns_its_table(tmp_path: Path) -> None:
     over = ["plant.object.mass=0.01..0.02"]
     results = sweep.run("paper", over, SHORT, folder=tmp_path / "masses", runs=2, jobs=1)

@@ -4,15 +4,14 @@
 import "uplot/dist/uPlot.min.css";
 import "./style.css";
 import { Chart } from "./charts/chart.js";
-import { commonTimes, comparisonCharts } from "./charts/comparison.js";
 import { runCharts } from "./charts/run.js";
 import { readDocument } from "./data.js";
 import { el } from "./dom.js";
 import { KEYS, listenToKeys } from "./keyboard.js";
-import { comparisonHeader, header, sections } from "./page/header.js";
+import { header, sections } from "./page/header.js";
 import { ledger } from "./page/ledger.js";
-import { sideBySide, stage } from "./page/stage.js";
-import { eventList, footer, notes, scenario, settingsTable, tables, tablesSideBySide } from "./page/tables.js";
+import { stage } from "./page/stage.js";
+import { eventList, footer, notes, scenario, tables } from "./page/tables.js";
 import { transport } from "./page/transport.js";
 import { Player } from "./player.js";
 import { Theme } from "./theme.js";
@@ -33,7 +32,7 @@ function makeContext(time, events) {
 
 function showRun(run, navigation) {
   const context = makeContext(run.time, run.events);
-  const { element, scene } = stage(run, content.palette, context);
+  const { element, scene } = stage(run, content.axes, context);
   const plots = el("div", { class: "plots" });
   const below = [...tables(run.tables), eventList(run.events, context.player)].filter((part) => part);
   root.append(
@@ -42,33 +41,13 @@ function showRun(run, navigation) {
     el("main", { class: "linked" }, element, el("div", { class: "side" }, plots, ledger(run.assumptions, context))),
     el("div", { class: "below" }, ...below),
     ...[scenario(run.scenario)].filter((part) => part),
-    footer(KEYS, [run]),
+    footer(KEYS, run),
   );
   // As high as the window leaves below the head, so that all of it is seen at first.
   root.style.setProperty("--above", `${element.getBoundingClientRect().top + window.scrollY}px`);
   const charts = runCharts(run, theme).map((spec) => new Chart(spec, context));
   plots.append(...charts.map((chart) => chart.element));
   return { ...context, scene, charts };
-}
-
-function showComparison() {
-  const { runs, palette, settings } = content;
-  const context = makeContext(commonTimes(runs), []);
-  const plots = el("div", { class: "plots" });
-  const scenarios = runs.map((run, i) => scenario(run.scenario, `of ${i + 1} ${run.label}`)).filter((part) => part);
-  const views = sideBySide(runs, palette, context);
-  root.append(
-    comparisonHeader(runs, palette.runs, theme),
-    ...[notes(runs.flatMap((run, i) => run.notes.map((note) => `${i + 1} ${run.label}: ${note}`))), settingsTable(runs, settings)].filter((part) => part),
-    views.element,
-    el("main", { class: "overlaid" }, plots, el("section", { class: "stage flat" }, transport({ events: [] }, context))),
-    el("div", { class: "below one" }, ...tablesSideBySide(runs)),
-    ...scenarios,
-    footer(KEYS, runs),
-  );
-  const charts = comparisonCharts(content, context.time, theme).map((spec) => new Chart(spec, context));
-  plots.append(...charts.map((chart) => chart.element));
-  return { ...context, scene: null, scenes: views.scenes, charts };
 }
 
 /** Show the section that the address names, the last one by default; each reset begins one. */
@@ -81,4 +60,4 @@ function showSection() {
 }
 
 /** For tests and for the console. */
-window.report = content.kind === "comparison" ? showComparison() : showSection();
+window.report = showSection();

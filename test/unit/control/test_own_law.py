@@ -75,7 +75,7 @@ def test_a_recorded_configuration_imports_nothing(tmp_path: Path) -> None:
     )
     assert "my_law:MyLaw" in text
     recorded = validate(Scenario, parse_yaml(text))  # as `Run.scenario` reads it
-    with pytest.raises(ConfigurationError, match="name it yourself: --set law=my_law:MyLaw"):
+    with pytest.raises(ConfigurationError, match="name it yourself: --law my_law:MyLaw"):
         ClosedLoop(recorded)
     with pytest.raises(ConfigurationError, match="name it yourself"):
         ClosedLoop(recorded.changed({"seed": 2}))

@@ -206,7 +206,7 @@ def test_publishers_offer_what_all_recorded_ones_offered(
     [
         ("--rate=0", "expected a number above 0"),
         ("--exclude=(", "not a valid regular expression"),
-        ("--set=a=1", "expected --recompute too"),
+        ("--law=contact", "expected --recompute too"),
         ("--start-offset=nan", "offset"),
         ("--namespace=1x", "the namespace is '1x'"),
     ],

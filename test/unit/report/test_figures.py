@@ -72,12 +72,6 @@ def test_lines_are_the_numbers_of_the_record() -> None:
     np.testing.assert_array_equal(forces.lines[1].get_ydata(), expected)
 
 
-def test_loss_of_contact_is_marked() -> None:
-    for name, marks in (("good", 0), ("lost", 4)):
-        texts = [text.get_text() for a in motion_figure(RECORDS[name]).axes for text in a.texts]
-        assert texts.count("contact lost") == marks
-
-
 def test_same_record_gives_same_files(tmp_path: Path) -> None:
     """Figures in documentation change only when numbers do."""
     files = [

@@ -20,7 +20,7 @@ SLIDER = """<robot name="gripper">
   <link name="palm"/>
   <joint name="slide" type="prismatic"><parent link="palm"/><child link="jaw"/>
     <origin xyz="0 0 1" rpy="0 1.5707963267948966 0"/><axis xyz="1 0 0"/></joint>
-  <link name="jaw"><visual><geometry><sphere radius="0.02"/></geometry></visual></link>
+  <link name="jaw"/>
 </robot>"""
 
 
@@ -58,7 +58,6 @@ def test_tips_are_where_the_physics_has_them(layout: str) -> None:
     [
         ("</robot>", ""),
         ('xyz="0 0 1"', 'xyz="0 0"'),
-        ('radius="0.02"', 'radius="wide"'),
         ('<child link="jaw"/>', ""),
         ('<parent link="palm"/>', ""),
     ],
@@ -86,14 +85,3 @@ def test_what_a_urdf_leaves_out_has_its_usual_value() -> None:
     moving = {"motion": "turn", "axis": [1.0, 0.0, 0.0], "joint": 1}
     assert turning == {"name": "b", "parent": 0, **still, **moving}
     assert fixed == {"name": "c", "parent": 1, **still}
-
-
-def test_a_tip_is_a_sphere_at_the_end_or_what_the_file_of_the_hand_names() -> None:
-    sphere = '<visual><geometry><sphere radius="0.03"/></geometry></visual>'
-    drawn = SLIDER.replace('<link name="palm"/>', f'<link name="palm">{sphere}</link>')
-    assert [tip["link"] for tip in hand_tree(drawn, [], {})["tips"]] == [1]
-    named = {"palm": ("thumb", 0.5), "gone": ("ring", 0.1)}
-    assert hand_tree(drawn, [], named)["tips"] == [{"link": 0, "finger": "thumb", "radius": 0.5}]
-    assert [tip["link"] for tip in hand_tree(drawn, [], {"gone": ("x", 0.1)})["tips"]] == [1]
-    plain = SLIDER.replace('radius="0.02"', "")
-    assert hand_tree(plain, [], {})["tips"][0]["radius"] == 0.01

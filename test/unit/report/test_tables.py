@@ -10,7 +10,7 @@ import pytest
 
 from tactile_hand_ros.report import tables
 from tactile_hand_ros.run.assumptions import Assumption
-from tactile_hand_ros.run.metrics import Metrics, Settling
+from tactile_hand_ros.run.metrics import Metrics
 from tactile_hand_ros.run.recording import BagMetrics, TopicCount
 
 METRICS = Metrics(
@@ -117,14 +117,7 @@ def test_how_complete_a_bag_is() -> None:
     assert ["recording", "complete"] in tables.bag_rows(replace(bag, complete=True))
 
 
-def test_recoveries_are_rows_and_tables_stand_side_by_side() -> None:
-    rows = tables.recovery_rows([Settling(2.0, 0.01, 0.5, 0.0), Settling(5.0, 0.02, math.inf, 0.1)])
-    assert rows == [
-        ["event at 2 s", "10 mm away, back after 0.50 s"],
-        ["event at 5 s", "20 mm away, not back"],
-    ]
-    joined = tables.side_by_side([[["a", "1"], ["b", "2"]], [["c", "3"], ["a", "4"]]])
-    assert joined == [["a", "1", "4"], ["b", "2", ""], ["c", "", "3"]]
+def test_what_has_a_meaning_in_markdown_or_to_rich_is_text() -> None:
     assert (
         tables.markdown(["x", "y"], [["a|b", "c"]]) == "| x | y |\n| --- | --- |\n| a\\|b | c |\n"
     )

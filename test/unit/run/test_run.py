@@ -162,13 +162,6 @@ class TestDesiredPose:
         found = Run(tmp_path / "bag").record.desired_position[:, 0]
         assert np.nan_to_num(found, nan=-1.0).tolist() == in_force
 
-    def test_a_bag_without_the_ticks_of_its_commands_is_refused(self, tmp_path: Path) -> None:
-        with RunWriter(tmp_path / "bag") as bag:
-            tick_only(bag, 0, 100)
-            bag.write("/desired_pose", pose_stamped(0, (0.0, 0.0, 0.0), STRAIGHT), 50)
-        with pytest.raises(BagError, match="has /desired_pose but not /accepted/desired_pose"):
-            Run(tmp_path / "bag")
-
 
 class TestFolders:
     @pytest.fixture
@@ -385,4 +378,4 @@ def test_refusals_of_both_nodes_come_in_the_order_of_their_ticks(tmp_path: Path)
         "b is refused: too far",
         "a is refused: too far",
     ]
-    assert run.requests == [] and run.recoveries == []
+    assert run.requests == []

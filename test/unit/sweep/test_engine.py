@@ -27,7 +27,7 @@ RUNS = 300
 
 def kept(folder: Path, watch=lambda _: None, run=trials.product, runs: int = RUNS) -> Tally:
     """Carry out a study of the unit square in a folder."""
-    return keep(Study(SPACE, "latin", run, runs, 5), folder, watch)
+    return keep(Study(SPACE, run, runs, 5), folder, watch)
 
 
 @pytest.fixture(scope="module")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Spaces and samplers: what the command line says, and where in it the runs are."""
+"""Spaces: what the command line says, and where in it the runs are."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from tactile_hand_ros.errors import ConfigurationError
 from tactile_hand_ros.sweep.engine import Study
-from tactile_hand_ros.sweep.space import SAMPLERS, Choice, Range, parse_parameter
+from tactile_hand_ros.sweep.space import Choice, Range, parse_parameter, points
 
 SPACE = {"a": Range(0.0, 2.0), "b": Range(0.1, 10.0, is_log=True), "c": Choice(("u", "v"))}
 
@@ -67,24 +67,20 @@ def test_a_whole_range_gives_each_number_alike() -> None:
     assert np.unique(values, return_counts=True)[1].tolist() == [100] * 4
 
 
-@pytest.mark.parametrize("name", list(SAMPLERS))
-def test_a_sampler_fills_the_unit_cube_and_repeats(name: str) -> None:
-    """A study that goes on in the middle finds the runs that it would have made."""
-    whole = SAMPLERS[name](SPACE, 60, 3)
-    assert whole.shape[1] == 3 and len(whole) >= 50
-    assert (whole >= 0.0).all() and (whole <= 1.0).all()
-    np.testing.assert_array_equal(SAMPLERS[name](SPACE, 60, 3), whole)
-    if name != "grid":
-        assert not np.array_equal(SAMPLERS[name](SPACE, 60, 4), whole)
+def test_ranges_are_sampled_by_a_latin_hypercube_that_repeats() -> None:
+    """A study that is continued in the middle finds the runs that it would have made."""
+    found = points(SPACE, 50, 3)
+    for column in found.T:
+        assert sorted((50 * column).astype(int)) == list(range(50))
+    np.testing.assert_array_equal(points(SPACE, 50, 3), found)
+    assert not np.array_equal(points(SPACE, 50, 4), found)
 
 
-def test_a_grid_takes_all_combinations_with_both_ends() -> None:
+def test_levels_are_combined_with_both_ends() -> None:
     space = {"a": Range(0.0, 2.0, levels=3), "c": Choice(("u", "v", "w", "x", "y"))}
-    study = Study(space, "grid", dict)
+    study = Study(space, dict)
     found = [tuple(study.point(i).values.values()) for i in range(len(study.fractions))]
     assert found == [(a, c) for a in (0.0, 1.0, 2.0) for c in "uvwxy"]
-
-
-def test_a_latin_hypercube_holds_one_run_in_each_slot() -> None:
-    for column in SAMPLERS["latin"](SPACE, 50, 0).T:
-        assert sorted((50 * column).astype(int)) == list(range(50))
+    sampled = Study(space | {"b": Range(0.0, 1.0)}, dict, runs=60)
+    values = [sampled.point(i).values["a"] for i in range(60)]
+    assert np.unique(values, return_counts=True)[1].tolist() == [20] * 3

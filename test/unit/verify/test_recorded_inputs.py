@@ -19,36 +19,14 @@ from support.recorded import (
     write_tick,
 )
 
-from tactile_hand_ros.closed_loop.record import Record
 from tactile_hand_ros.run.run import Run
 from tactile_hand_ros.scenario.scenario import load_scenario, resolved
 from tactile_hand_ros.verify.recorded_inputs import (
     PARAMETERS,
-    Change,
-    Inputs,
     read_inputs,
 )
 
 SCENARIO = load_scenario("paper", {"duration": 0.1, "targets": []})
-
-
-def test_only_what_is_wanted_otherwise_changes_in_what_was_in_force() -> None:
-    wanted = load_scenario("paper", {"duration": 0.1, "manipulation_controller.law.k_o": 0.7})
-    controller = SCENARIO.manipulation_controller
-    changes = [
-        Change(0, PARAMETERS, controller),
-        Change(2, "grasp", True),
-        Change(5, PARAMETERS, controller.changed({"law.k_p": 9.0})),
-    ]
-    others = {"slip_regulator": [Change(0, PARAMETERS, SCENARIO.slip_regulator)]}
-    record = Record.empty(1, ["a"], ["j"])
-    recorded = others | {"manipulation_controller": changes}
-    inputs = Inputs(record, [None], np.zeros(1, dtype=np.bool_), recorded)
-    found = inputs.changed(SCENARIO, wanted).changes
-    assert found["slip_regulator"] == others["slip_regulator"]
-    first, call, last = found["manipulation_controller"]
-    assert (first.value.law.k_o, last.value.law.k_o, last.value.law.k_p) == (0.7, 0.7, 9.0)
-    assert call == changes[1] and last.stamp == 5
 
 
 @pytest.fixture

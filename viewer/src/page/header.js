@@ -5,20 +5,7 @@ import { el, icon } from "../dom.js";
 
 /** Make the head of a report. */
 export function header(run, theme) {
-  return el("header", { class: "head" }, titleLine(run.name, run.description, [verdict(run)].filter((part) => part), theme), tiles(run.tiles));
-}
-
-/** Make the head of a comparison. */
-export function comparisonHeader(runs, colours, theme) {
-  const chips = runs.map((run, i) => {
-    const chip = el("span", { class: "run-chip" }, el("i", {}), `${i + 1} ${run.label}`, el("small", {}, run.recorded));
-    const paint = () => chip.style.setProperty("--run", theme.data(colours[i]));
-    paint();
-    theme.listen(paint);
-    return chip;
-  });
-  const title = `${runs.length} runs side by side`;
-  return el("header", { class: "head" }, titleLine(title, "", [], theme), el("div", { class: "run-chips" }, ...chips));
+  return el("header", { class: "head" }, titleLine(run, theme), tiles(run.tiles));
 }
 
 /** Make links to the sections of a run between its resets; nothing where there was no reset. */
@@ -31,14 +18,14 @@ export function sections(runs, shown) {
   return el("nav", { class: "sections", "aria-label": "sections" }, `${runs.length} sections, each begun by a reset: `, ...links);
 }
 
-function titleLine(title, description, extra, theme) {
+function titleLine(run, theme) {
   const dark = el("button", { class: "quiet", type: "button", title: "light or dark (d)", "aria-label": "light or dark", onclick: () => theme.toggle() }, icon("moon"));
   return el(
     "div",
     { class: "title-line" },
-    el("h1", {}, title.replaceAll("_", " ")),
-    ...extra,
-    el("p", {}, description),
+    el("h1", {}, run.name.replaceAll("_", " ")),
+    ...[verdict(run)].filter((part) => part),
+    el("p", {}, run.description),
     dark,
   );
 }

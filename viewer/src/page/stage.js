@@ -17,12 +17,12 @@ const VIEWS = ["oblique", "front", "side", "top"];
 const FRESH = 0.5; // s for which the text of an event stays
 
 /** Make the stage; returns its element and the scene, which is null where there is no WebGL. */
-export function stage(run, palette, context) {
+export function stage(run, axes, context) {
   const canvas = el("canvas", { class: "scene", tabindex: "-1", "aria-label": "3D view of hand and object" });
   const element = el("section", { class: "stage" });
   const viewport = el("div", { class: "viewport" }, canvas, hud(run, context.player));
   element.append(viewport, transport(run, context));
-  const scene = makeScene(canvas, run, palette, context.theme, viewport);
+  const scene = makeScene(canvas, run, axes, context.theme, viewport);
   if (scene) {
     viewport.append(tools(scene, context.player, element), scaleNote(scene));
     context.player.listen((player) => scene.show(player.time, player.playing));
@@ -31,30 +31,9 @@ export function stage(run, palette, context) {
   return { element, scene };
 }
 
-/** Make a 3D view of each run, all of one time and seen from one side. */
-export function sideBySide(runs, palette, { player, theme }) {
-  const scenes = [];
-  const parts = runs.map((run, i) => {
-    const canvas = el("canvas", { class: "scene", tabindex: "-1", "aria-label": `3D view of ${run.label}` });
-    const badge = el("span", { class: "verdict" }, run.headline);
-    const viewport = el("div", { class: "viewport" }, canvas, el("div", { class: "name" }, `${i + 1} ${run.label} `, run.headline ? badge : null));
-    const scene = makeScene(canvas, run, palette, theme, viewport);
-    if (scene) {
-      scenes.push(scene);
-      player.listen((p) => scene.show(p.time, p.playing));
-      new ResizeObserver(() => scene.invalidate()).observe(viewport);
-    }
-    return el("section", { class: "stage beside" }, viewport);
-  });
-  for (const scene of scenes) {
-    scene.view.controls.addEventListener("change", () => scenes.filter((other) => other !== scene).forEach((other) => other.view.follow(scene.view)));
-  }
-  return { element: el("div", { class: "beside-all" }, ...parts), scenes };
-}
-
-function makeScene(canvas, run, palette, theme, viewport) {
+function makeScene(canvas, run, axes, theme, viewport) {
   try {
-    return new Scene(canvas, run, palette, theme);
+    return new Scene(canvas, run, axes, theme);
   } catch (error) {
     if (!/WebGL/i.test(String(error))) throw error;
     canvas.remove();

@@ -28,15 +28,6 @@ export class View {
     this._fit();
   }
 
-  /** Look from where another view looks, without an answer to it. */
-  follow(other) {
-    if (this.camera.position.distanceTo(other.camera.position) < 1e-9 && this.controls.target.distanceTo(other.controls.target) < 1e-9) return;
-    this.camera.position.copy(other.camera.position);
-    this.controls.target.copy(other.controls.target);
-    this.controls.update();
-    this._placed = this.camera.position.clone();
-  }
-
   resize(width, height) {
     this.camera.aspect = width / height;
     this.camera.updateProjectionMatrix();

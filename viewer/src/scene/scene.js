@@ -17,7 +17,7 @@ const SLIP = 2; // state of a contact in the record
 const SAMPLES = 12; // ticks that decide what must be in the picture
 
 export class Scene {
-  constructor(canvas, run, palette, theme) {
+  constructor(canvas, run, axes, theme) {
     this.run = run;
     this.theme = theme;
     this.visible = { object: true, forces: true, cones: true, frames: true, goal: true, trail: true };
@@ -25,7 +25,7 @@ export class Scene {
     this.scene = new THREE.Scene();
     this.frames = 0;
     this.sharpness = new Sharpness();
-    this._build(palette);
+    this._build(axes);
     this._light();
     this.view = new View(canvas, this._extent(), this._tips());
     this.view.look("oblique");
@@ -35,20 +35,20 @@ export class Scene {
     this.show(0);
   }
 
-  _build(palette) {
+  _build(axes) {
     const { run } = this;
     this.hand = run.hand ? new HandModel(run.hand, run.fingers) : null;
     const size = this.hand ? 3 * this.hand.radius : spread(run) * 0.6;
     this.size = size;
     this.newton = (0.7 * size) / (strongest(run.columns.force) || 1);
-    this.contacts = run.fingers.map((finger) => new ContactModel(finger.color, size, this.newton, palette.axes));
+    this.contacts = run.fingers.map((finger) => new ContactModel(finger.color, size, this.newton, axes));
     this.solid = run.object && known(run.columns.object_position) ? new Solid(run.object) : null;
     this.ghost = this.solid ? new Ghost(run.object, size) : null;
-    this.goal = triad(0.55 * size, palette.axes, 3);
-    this.grasp = triad(0.55 * size, palette.axes, 3);
+    this.goal = triad(0.55 * size, axes, 3);
+    this.grasp = triad(0.55 * size, axes, 3);
     this.trail = new Trail(run.columns.auxiliary_position);
     this.ground = new Ground(size / 2, 12);
-    this.palm = triad(0.7 * size, palette.axes, 2.5);
+    this.palm = triad(0.7 * size, axes, 2.5);
     this.palm.material.depthTest = false; // it lies in the spokes of the palm
     this.badges = this._badges();
     const parts = [this.hand, this.solid, this.ghost, this.trail, this.ground, ...this.contacts, ...this.badges];
