@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -24,7 +23,7 @@ from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray
 
 from tactile_hand_ros import names
-from tactile_hand_ros.cdr import read_content
+from tactile_hand_ros.cdr import ContentReader
 from tactile_hand_ros.config.hand_config import load_hand_config
 from tactile_hand_ros.config.model import Config, param
 from tactile_hand_ros.errors import MessageError
@@ -100,7 +99,7 @@ class ViewerNode(TactileNode[ViewerConfig]):
         namespace = self.get_namespace().strip("/")
         self._prefix = f"{namespace}/" if namespace else ""
         self._taken: dict[str, Any] = {}
-        pose, grip = PoseCodec().decode, partial(read_content, "sensor_msgs/msg/JointState")
+        pose, grip = PoseCodec().decode, ContentReader("sensor_msgs/msg/JointState")
         self._listening: dict[str, tuple[Subscription, Callable[[bytes], Any]]] = {}
         self._listen(names.CONTACTS, PoseArray, ContactsCodec(len(self._fingers)).decode)
         self._listen(names.GRIP_STATE, JointState, grip)

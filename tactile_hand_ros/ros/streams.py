@@ -39,13 +39,13 @@ class Stream:
 
 def joints(joint_names: Sequence[str]) -> Stream:
     """Declare the joint states; values are `Joints`. A message may have an arm's joints too."""
-    codec = JointCodec(joint_names, wanted=("position", "velocity"), others=True)
+    codec = JointCodec(joint_names, others=True)
     return Stream(JointState, {names.JOINT_STATES: codec.decode_joints}, from_driver=True)
 
 
 def imu() -> Stream:
     """Declare how the palm lies in the world; values are quaternions (x, y, z, w), shape (4,)."""
-    return Stream(Imu, {names.IMU: ImuCodec.decode}, from_driver=True)
+    return Stream(Imu, {names.IMU: ImuCodec().decode}, from_driver=True)
 
 
 def contacts(fingers: int) -> Stream:
