@@ -24,7 +24,6 @@ from tactile_hand_ros.command_options import with_options
 from tactile_hand_ros.errors import TactileHandError, counted
 
 if TYPE_CHECKING:
-    from tactile_hand_ros.nodes.replay import Replay
     from tactile_hand_ros.run.run import Run
 
 RunArgument = Annotated[
@@ -146,9 +145,6 @@ class ReplayRequest:
 
     bag: BagArgument = Path("runs/latest")
     rate: Annotated[float, typer.Option(help="Times the original speed.")] = 1.0
-    start_offset: Annotated[
-        float, typer.Option(min=0.0, help="Where to start [s after the first message].")
-    ] = 0.0
     topics: Annotated[
         list[str],
         typer.Option(help="Only topics whose whole name matches; may be repeated."),
@@ -158,7 +154,6 @@ class ReplayRequest:
         typer.Option(help="Not the topics whose whole name matches; may be repeated."),
     ] = field(default_factory=list)
     namespace: Annotated[str, typer.Option(help="Put before the names, as /left.")] = ""
-    paused: Annotated[bool, typer.Option("--start-paused", help="Start paused.")] = False
     recompute: Annotated[
         bool,
         typer.Option("--recompute", help="Publish nothing: ask the controllers again, compare."),
@@ -209,6 +204,7 @@ def _recompute(request: ReplayRequest) -> None:
 
 def _publish(bag: Path, request: ReplayRequest) -> None:
     try:
+        from tactile_hand_ros.bag.selection import TopicSelection
         from tactile_hand_ros.nodes.replay import replaying
         from tactile_hand_ros.ros.middleware import full_namespace
     except ModuleNotFoundError as error:
@@ -217,26 +213,23 @@ def _publish(bag: Path, request: ReplayRequest) -> None:
             "install its wheels."
         ) from None
 
-    options = {
-        "rate": request.rate,
-        "start_offset": request.start_offset,
-        "topics": request.topics or [".*"],
-        "exclude": request.exclude,
-        "namespace": full_namespace(request.namespace).rstrip("/"),
-        "paused": request.paused,
-    }
-    with replaying(bag, **options) as player, bar("replay", player.duration) as update:
+    selection = TopicSelection(request.topics or [".*"], request.exclude)
+    namespace = full_namespace(request.namespace).rstrip("/")
+    with (
+        replaying(bag, selection, namespace) as player,
+        bar("replay", player.duration) as update,
+    ):
 
-        def watch(player: Replay) -> None:
-            state = "paused" if player.paused else counted(player.messages, "message")
-            text = f"{player.position:.1f} of {player.duration:.1f} s, {state}"
-            update(completed=player.position, text=text)
+        def watch() -> None:
+            done, messages = player.position, counted(player.messages, "message")
+            text = f"{done:.1f} of {player.duration:.1f} s, {messages}"
+            update(completed=done, text=text)
 
         for topic, reason in player.skipped.items():
             print(f"{topic} is not published: {reason}", file=sys.stderr)
         print(f"publishing {len(player.publishers)} topics of {bag}", file=sys.stderr)
         try:
-            player.run(watch)
+            player.run(request.rate, watch)
         finally:
             print(f"published {counted(player.messages, 'message')}", file=sys.stderr)
 
