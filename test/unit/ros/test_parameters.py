@@ -7,7 +7,7 @@ import enum
 import math
 import sys
 from collections.abc import Iterator
-from typing import Any, Literal
+from typing import Literal
 
 import pytest
 import rclpy
@@ -33,41 +33,14 @@ class Part(Config):
 
 class Fields(Config):
     free: float = param(1.0, "Free")
-    above: float = param(1.0, "Above", gt=0.5)
     below: float = param(1.0, "Below", unit="m", lt=2.5)
     between: float = param(1.0, "", unit="N", ge=-1.5, le=1.5)
-    many: int = param(3, "Many")
-    more: int = param(3, "More", gt=2)
-    fewer: int = param(3, "Fewer", lt=8)
-    some: int = param(3, "Some", ge=1, le=9)
     words: list[str] = param(["1", "on"], "Words")
     parts: list[Part] = param([Part()], "Parts")
     part: Part = Part()
 
 
 FIELDS = leaves(Fields)
-
-
-@pytest.mark.parametrize(
-    ("name", "expected"),
-    [
-        ("free", []),
-        ("above", [(0.5, math.inf)]),
-        ("below", [(-math.inf, 2.5)]),
-        ("between", [(-1.5, 1.5)]),
-        ("many", []),
-        ("more", [(3, 2**63 - 1)]),
-        ("fewer", [(-(2**63), 7)]),
-        ("some", [(1, 9)]),
-    ],
-)
-def test_a_range_is_closed_and_one_of_integers_excludes_an_open_end(
-    name: str, expected: list[Any]
-) -> None:
-    shown = descriptor(FIELDS[name])
-    kinds = shown.floating_point_range, shown.integer_range
-    used, other = kinds if FIELDS[name].annotation is float else kinds[::-1]
-    assert [(each.from_value, each.to_value) for each in used] == expected and not list(other)
 
 
 def test_a_description_has_a_unit_where_there_is_one() -> None:
@@ -247,8 +220,8 @@ def test_a_live_change_is_taken_and_announced(declare):
 @pytest.mark.parametrize(
     ("name", "value", "words"),
     [
-        ("k_p", 11.0, "out of range"),
-        ("k_p", -1.0, "out of range"),
+        ("k_p", 11.0, "less than or equal to 10"),
+        ("k_p", -1.0, "greater than or equal to 0"),
         ("k_p", math.nan, ""),
         ("k_max", math.inf, "finite"),
         ("k_p", "4", "Wrong parameter type"),
