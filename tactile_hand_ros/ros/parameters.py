@@ -99,18 +99,15 @@ class ConfigParameters(Generic[C]):
         }
 
     def _refuse(self, unknown: list[str]) -> None:
-        """Refuse unknown parameters, but only warn of those that a file gives to all nodes."""
+        """Refuse unknown parameters; those of a file may be meant for other nodes, so only warn."""
         source = self._node.get_fully_qualified_name()
-        shared = _given_to_all(self._node) if unknown else set()
         for name in unknown:
             hint = did_you_mean(name, list(self._fields))
-            if name not in shared:
+            if any(word.startswith(f"{name}:=") for word in sys.argv):
                 raise ConfigurationError(
                     f"{source}: unknown parameter '{name}'{hint}", source=source, place=name
                 )
-            self._node.get_logger().warning(
-                f"ignored parameter '{name}', which is given to all nodes: unknown here{hint}"
-            )
+            self._node.get_logger().warning(f"ignored the unknown parameter '{name}'{hint}")
 
     def _declare(self) -> None:
         """Declare the types, then set the values: only so an empty array keeps its type."""
@@ -156,24 +153,6 @@ class ConfigParameters(Generic[C]):
         if any(parameter.name in self._fields for parameter in parameters):
             self.config = self._candidate(parameters)
             self._on_change(self.config)
-
-
-def _given_to_all(node: Node) -> set[str]:
-    """Return the parameters that files give to nodes of any name, as below ``/**``.
-
-    ROS does not tell for whom a parameter was meant, so a node of another name is asked.
-    """
-    other = Node(
-        f"{node.get_name()}_other",
-        namespace=node.get_namespace(),
-        context=node.context,
-        enable_rosout=False,
-        start_parameter_services=False,
-    )
-    shared = set(other._parameter_overrides)
-    other.destroy_node()
-    # On the command line, what names no node is meant for the one that is started.
-    return {name for name in shared if not any(w.startswith(f"{name}:=") for w in sys.argv)}
 
 
 def with_known_types(callback: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Any]:
