@@ -171,14 +171,6 @@ class PlantConfig(Config):
     pacing: Literal["lockstep", "realtime"] = param(
         "lockstep", "lockstep waits for each command, realtime follows the wall clock"
     )
-    busy_wait: float = param(
-        0.0,
-        "in real time, how long before each tick to stop sleeping and watch the clock: less jitter"
-        " for processor time; at most half a tick",
-        unit="s",
-        ge=0.0,
-        le=0.01,
-    )
     duration: float = param(
         0.0, "simulated time after which the plant stops; 0 for never", unit="s", ge=0.0
     )

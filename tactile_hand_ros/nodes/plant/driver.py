@@ -152,7 +152,7 @@ class PlantDriver:
         self._senders = SenderCheck()
         self._modes = ModeLog(node.get_logger().info)
         self._topics = PlantTopics(node, run.plant.hand, turns=bool(c.palm_motion))
-        self._pace = Pace(c.tick, round(1e9 * c.busy_wait))
+        self._pace = Pace(c.tick)
         self._pacer = node.create_timer(1e-9 * c.tick, self._on_pace)
         self._pacer.timer_period_ns = c.tick
         watch = 0.25 * min(c.resend_after, c.command_timeout)
