@@ -3,8 +3,8 @@
 
 * `header_stamp`: the stamp of any message that starts with a header, from its bytes.
 * `tables`: all messages of a topic to arrays at once, for reading bags.
-* `CdrTemplate`: one message with a fixed layout, read and written in place, for ticks.
-* `read_content`: one message of any layout, field by field.
+* `CdrTemplate`: messages with a fixed layout, written in place, for ticks.
+* `ContentReader`: messages of any layout, one at a time.
 
 A general decoder builds one Python object a message. The messages of a topic nearly always have
 the same strings and lengths, so that every number sits at the same byte.
@@ -17,7 +17,6 @@ from __future__ import annotations
 import struct
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -74,12 +73,6 @@ class CdrTemplate:
         """Start with the encapsulation and the stamp."""
         self._buffer = bytearray(_LITTLE_ENDIAN + bytes(_STAMP.size))
         self._blocks: list[tuple[int, int]] = []
-        self._constant: list[tuple[slice, bytes]] = []
-        self._views: list[Array] = []
-        self._parts: list[slice] = []
-        self._at = 0
-        self._all = np.empty(0)
-        self._format = _STAMP
 
     def _align(self, size: int) -> None:
         # Alignment counts from the end of the encapsulation.
@@ -106,71 +99,14 @@ class CdrTemplate:
             self._buffer += bytes(count * _DOUBLE.itemsize)
         return self
 
-    def finish(self) -> CdrTemplate:
-        """Note what is constant; nothing can be appended any more."""
-        start = _AFTER_STAMP
-        for offset, count in [*self._blocks, (len(self._buffer), 0)]:
-            if offset > start:
-                self._constant.append((slice(start, offset), bytes(self._buffer[start:offset])))
-            start = offset + count * _DOUBLE.itemsize
-        if self._blocks:
-            self._note_numbers()
-        return self
-
-    def _note_numbers(self) -> None:
-        """Note where all blocks can be read at once, with the lengths between them as numbers."""
-        first = self._blocks[0][0]
-        starts = [(at - first) // _DOUBLE.itemsize for at, _ in self._blocks]
-        self._parts = [slice(at, at + n) for at, (_, n) in zip(starts, self._blocks, strict=True)]
-        count = self._parts[-1].stop
-        self._at = first
-        self._all = np.frombuffer(self._buffer, _DOUBLE, count, first)
-        self._views = [self._all[part] for part in self._parts]
-        self._format = struct.Struct(f"<{_ORIGIN}xiI{first - _AFTER_STAMP}x{count}d")
-
-    def view(self, block: int) -> Array:
-        """Return the numbers of a block, to be written in place before `stamped`."""
-        return self._views[block]
+    def finish(self) -> list[Array]:
+        """Return the blocks, to be written in place before `stamped`; nothing can follow."""
+        return [np.frombuffer(self._buffer, _DOUBLE, count, at) for at, count in self._blocks]
 
     def stamped(self, stamp_ns: int) -> bytes:
         """Return the bytes with a stamp [ns] and the numbers that are in the blocks."""
         _STAMP.pack_into(self._buffer, _ORIGIN, *divmod(stamp_ns, _SECOND))
         return bytes(self._buffer)
-
-    def fill(self, *values: NDArray[Any]) -> Array:
-        """Write one array per block, flat and of its size; return all blocks as one array.
-
-        Between two blocks are their lengths, which read as tiny numbers.
-        """
-        for view, block in zip(self._views, values, strict=True):
-            view[:] = block
-        return self._all
-
-    def decode(self, data: bytes) -> tuple[Array, list[Array]] | None:
-        """Return all blocks as one array and each of them; None if the bytes do not fit.
-
-        The arrays are copies, which stay.
-        """
-        if not self._fits(data):
-            return None
-        numbers = np.frombuffer(data, _DOUBLE, len(self._all), self._at).copy()
-        return numbers, [numbers[part] for part in self._parts]
-
-    def unpack(self, data: bytes) -> tuple[Any, ...] | None:
-        """Return seconds, nanoseconds and the numbers, None if anything but them is unusual.
-
-        For one short block this is faster than `decode`. The numbers may be of any size, or NaN.
-        """
-        return self._format.unpack_from(data) if self._fits(data) else None
-
-    def _fits(self, data: bytes) -> bool:
-        """Return whether bytes differ from the template in stamp and numbers only."""
-        if len(data) != len(self._buffer) or data[:_ORIGIN] != _LITTLE_ENDIAN:
-            return False
-        for where, expected in self._constant:
-            if data[where] != expected:
-                return False
-        return True
 
 
 @dataclass
@@ -312,6 +248,8 @@ def _layout(type_name: str, data: bytes) -> Layout:
 LARGEST_MESSAGE = 65_536
 """Largest single message that is read [bytes]: a hand with a thousand joints needs less."""
 
+_NONE = np.empty(0)
+
 
 @dataclass(frozen=True)
 class Content:
@@ -328,24 +266,49 @@ class Content:
     doubles: dict[str, Array]
 
 
-def read_content(type_name: str, data: bytes) -> Content:
-    """Read a message of one of `PARSERS`, whatever its layout.
+class ContentReader:
+    """Reads messages of one type, whatever their layout.
 
-    Raises:
-        MessageError: If the bytes are too many or not a message of that type.
+    The layout of a message is found field by field. The next one usually has the same: then only
+    its numbers are read.
     """
-    if len(data) > LARGEST_MESSAGE:
-        raise MessageError(f"{len(data)} bytes, expected at most {LARGEST_MESSAGE}.")
-    try:
-        layout = _layout(type_name, data)
-    except ValueError as error:
-        raise MessageError(f"{len(data)} bytes that are not a {type_name}: {error}.") from None
-    order = "<f8" if layout.little else ">f8"
-    doubles = {
-        name: np.frombuffer(data, order, count, at).astype(np.float64) if count else np.empty(0)
-        for name, (at, count) in layout.doubles.items()
-    }
-    return Content(header_stamp(data), layout.texts, doubles)
+
+    def __init__(self, type_name: str) -> None:
+        """Read messages of one of `PARSERS`."""
+        self._type = type_name
+        self._layout = Layout(little=True)
+        self._fixed: list[tuple[slice, bytes]] = []
+        self._size = -1
+
+    def __call__(self, data: bytes) -> Content:
+        """Read a message.
+
+        Raises:
+            MessageError: If the bytes are too many or not a message of that type.
+        """
+        if not self._has_same_layout(data):
+            self._find_layout(data)
+        layout = self._layout
+        order = "<f8" if layout.little else ">f8"
+        doubles = {
+            name: np.frombuffer(data, order, count, at).astype(np.float64) if count else _NONE
+            for name, (at, count) in layout.doubles.items()
+        }
+        return Content(header_stamp(data), layout.texts, doubles)
+
+    def _has_same_layout(self, data: bytes) -> bool:
+        """Return whether a message has the strings and lengths of the one before."""
+        return len(data) == self._size and all(data[at] == same for at, same in self._fixed)
+
+    def _find_layout(self, data: bytes) -> None:
+        if len(data) > LARGEST_MESSAGE:
+            raise MessageError(f"{len(data)} bytes, expected at most {LARGEST_MESSAGE}.")
+        try:
+            layout = _layout(self._type, data)
+        except ValueError as error:
+            raise MessageError(f"{len(data)} bytes that are not a {self._type}: {error}.") from None
+        self._fixed = [(slice(*ends), data[slice(*ends)]) for ends in layout.fixed]
+        self._layout, self._size = layout, len(data)
 
 
 def tables(type_name: str, messages: Sequence[bytes]) -> Iterator[Table]:

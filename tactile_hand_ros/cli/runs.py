@@ -20,7 +20,6 @@ from tactile_hand_ros.cli.output import (
 from tactile_hand_ros.errors import TactileHandError, counted
 
 if TYPE_CHECKING:
-    from tactile_hand_ros.nodes.replay import Replay
     from tactile_hand_ros.run.run import Run
 
 RunArgument = Annotated[
@@ -71,12 +70,6 @@ def _open(path: Path, namespace: str | None) -> Run:
 def replay(
     bag: BagArgument = LATEST,
     rate: Annotated[float, typer.Option(metavar="FACTOR", help="Times the original speed.")] = 1.0,
-    start_offset: Annotated[
-        float,
-        typer.Option(
-            min=0.0, metavar="SECONDS", help="Where to start [s after the first message]."
-        ),
-    ] = 0.0,
     topics: Annotated[
         list[str] | None,
         typer.Option(help="Only topics whose whole name matches; may be repeated."),
@@ -86,7 +79,6 @@ def replay(
         typer.Option(help="Not the topics whose whole name matches; may be repeated."),
     ] = None,
     namespace: Annotated[str, typer.Option(help="Put before the names, as /left.")] = "",
-    paused: Annotated[bool, typer.Option("--start-paused", help="Start paused.")] = False,
     recompute: Annotated[
         bool,
         typer.Option("--recompute", help="Publish nothing: ask the controllers again, compare."),
@@ -107,14 +99,7 @@ def replay(
         raise TactileHandError("--law was given, expected --recompute too.")
     if not 0.0 < rate < float("inf"):
         raise TactileHandError(f"--rate is {rate}, expected a number above 0.")
-    options = {
-        "rate": rate,
-        "start_offset": start_offset,
-        "topics": topics or [".*"],
-        "exclude": exclude or [],
-        "paused": paused,
-    }
-    _publish(bag, namespace, options)
+    _publish(bag, rate, topics or [".*"], exclude or [], namespace)
 
 
 def _recompute(bag: Path, namespace: str, law: str) -> None:
@@ -130,11 +115,14 @@ def _recompute(bag: Path, namespace: str, law: str) -> None:
         raise typer.Exit(EXIT_DIFFERS)
 
 
-def _publish(path: Path, namespace: str, options: dict[str, Any]) -> None:
+def _publish(
+    path: Path, rate: float, topics: list[str], exclude: list[str], namespace: str
+) -> None:
     from tactile_hand_ros.bag.reader import find_bag
 
     bag = find_bag(path)
     try:
+        from tactile_hand_ros.bag.selection import TopicSelection
         from tactile_hand_ros.nodes.replay import replaying
         from tactile_hand_ros.ros.middleware import full_namespace
     except ModuleNotFoundError as error:
@@ -143,22 +131,23 @@ def _publish(path: Path, namespace: str, options: dict[str, Any]) -> None:
             "install its wheels."
         ) from None
 
+    selection = TopicSelection(topics, exclude)
     place = full_namespace(namespace).rstrip("/")
     with (
-        replaying(bag, namespace=place, **options) as player,
+        replaying(bag, selection, place) as player,
         bar("replay", player.duration) as update,
     ):
 
-        def watch(player: Replay) -> None:
-            state = "paused" if player.paused else counted(player.messages, "message")
-            text = f"{player.position:.1f} of {player.duration:.1f} s, {state}"
-            update(completed=player.position, text=text)
+        def watch() -> None:
+            done, messages = player.position, counted(player.messages, "message")
+            text = f"{done:.1f} of {player.duration:.1f} s, {messages}"
+            update(completed=done, text=text)
 
         for topic, reason in player.skipped.items():
             print(f"{topic} is not published: {reason}", file=sys.stderr)
         print(f"publishing {len(player.publishers)} topics of {bag}", file=sys.stderr)
         try:
-            player.run(watch)
+            player.run(rate, watch)
         finally:
             print(f"published {counted(player.messages, 'message')}", file=sys.stderr)
 

@@ -97,13 +97,13 @@ class TactileSensorNode(TactileNode[TactileSensorConfig]):
         self,
         stamp: int,
         contacts: ContactPoses,
-        speeds: Array,
+        sliding: list[Array],
         forces: Array,
         joints: Joints | None = None,
     ) -> None:
         """Answer a tick for which everything has arrived."""
         true = TactileReading(contacts.positions, contacts.quaternions, forces)
-        self.step(stamp, true, speeds, None if joints is None else joints.theta)
+        self.step(stamp, true, sliding[1], None if joints is None else joints.theta)
 
     def step(
         self, stamp: int, true: TactileReading, sliding: Array, theta: Array | None = None

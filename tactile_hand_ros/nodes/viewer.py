@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -19,12 +18,10 @@ from numpy.typing import NDArray
 from rclpy.qos import QoSProfile, QoSReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.subscription import Subscription
-from sensor_msgs.msg import JointState
 from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray
 
 from tactile_hand_ros import names
-from tactile_hand_ros.cdr import read_content
 from tactile_hand_ros.config.hand_config import load_hand_config
 from tactile_hand_ros.config.model import Config, param
 from tactile_hand_ros.errors import MessageError
@@ -54,8 +51,6 @@ _OBJECT: Color = (0.56, 0.65, 0.75, 0.4)
 _GOAL: Color = (0.76, 0.09, 0.36, 1.0)
 _FORCE: Color = (0.1, 0.14, 0.19, 1.0)
 _LONGEST = 0.12  # m, of the strongest force
-_AROUND = np.linspace(0.0, 2.0 * np.pi, 25)
-_STEEPEST = 2.5  # friction above which a cone is drawn no wider
 
 
 class ViewerConfig(Config):
@@ -78,7 +73,7 @@ class ViewerNode(TactileNode[ViewerConfig]):
     """Publishes transforms and markers.
 
     Subscriptions, of which the newest message counts: `tactile/contacts`,
-    `tactile/<finger>/wrench`, `grip_state`, `accepted/desired_pose`, `ground_truth/object_pose`.
+    `tactile/<finger>/wrench`, `accepted/desired_pose`, `ground_truth/object_pose`.
 
     Publications: `markers` (visualization_msgs/MarkerArray in `palm`, only while there is a
     subscriber), `/tf` (tf2_msgs/TFMessage, where it is installed: from `palm` to contacts and
@@ -100,10 +95,9 @@ class ViewerNode(TactileNode[ViewerConfig]):
         namespace = self.get_namespace().strip("/")
         self._prefix = f"{namespace}/" if namespace else ""
         self._taken: dict[str, Any] = {}
-        pose, grip = PoseCodec().decode, partial(read_content, "sensor_msgs/msg/JointState")
+        pose = PoseCodec().decode
         self._listening: dict[str, tuple[Subscription, Callable[[bytes], Any]]] = {}
         self._listen(names.CONTACTS, PoseArray, ContactsCodec(len(self._fingers)).decode)
-        self._listen(names.GRIP_STATE, JointState, grip)
         self._listen(names.ACCEPTED_POSE, PoseStamped, pose)
         self._listen(names.OBJECT_POSE, PoseStamped, pose)
         for finger in self._fingers:
@@ -142,7 +136,7 @@ class ViewerNode(TactileNode[ViewerConfig]):
             made = [_marker("all", 0, Marker.DELETEALL)]
             if where is not None and len(self._corners):
                 made.append(_placed(_triangles("object", 0, self._corners, _OBJECT), where))
-            made += contact_markers(contacts, self._forces(), self._friction())
+            made += contact_markers(contacts, self._forces())
             if goal is not None:
                 made.append(_placed(_axes(), goal))
             for marker in made:  # no stamp: where it is now
@@ -164,12 +158,6 @@ class ViewerNode(TactileNode[ViewerConfig]):
             if names.wrench(finger) in self._taken:
                 _, forces[i] = self._taken[names.wrench(finger)]
         return forces
-
-    def _friction(self) -> Array:
-        known: dict[str, float] = {}
-        if (grip := self._taken.get(names.GRIP_STATE)) is not None:
-            known = dict(zip(grip.texts[1:], grip.doubles["position"].tolist(), strict=False))
-        return np.array([known.get(finger, np.nan) for finger in self._fingers])
 
     def _pose(self, topic: str, name: str) -> Frame | None:
         return _known(name, *self._taken[topic][1]) if topic in self._taken else None
@@ -193,15 +181,12 @@ def transforms(frames: Sequence[Frame], stamp_ns: int, prefix: str = "") -> list
     return made
 
 
-def contact_markers(
-    contacts: Sequence[Frame | None], forces: Array, friction: Array
-) -> list[Marker]:
-    """Return point, force and friction cone of each contact, as far as they are known.
+def contact_markers(contacts: Sequence[Frame | None], forces: Array) -> list[Marker]:
+    """Return point and force of each contact, as far as they are known.
 
     Args:
         contacts: Contact frames, None where a finger does not touch.
         forces: Forces on the object in the contact frames, shape (k, 3), N.
-        friction: Learned friction, shape (k,).
     """
     lengths = np.linalg.norm(forces, axis=1)
     scale = _LONGEST / float(np.nanmax(lengths, initial=1e-9))
@@ -220,20 +205,7 @@ def contact_markers(
         arrow.points = _points([np.zeros(3), force])
         arrow.scale.x, arrow.scale.y = 0.004, 0.009
         made.append(_placed(arrow, contact))
-        if np.isfinite(friction[i]) and force[1] > 0.0:
-            cone = _cone(i, float(force[1]), float(friction[i]), color)
-            made.append(_placed(cone, contact))
     return made
-
-
-def _cone(i: int, height: float, friction: float, color: Color) -> Marker:
-    """Return the friction cone, as high as the normal force is long; its axis is y, the normal."""
-    radius = height * min(friction, _STEEPEST)
-    rim = np.stack(
-        [radius * np.cos(_AROUND), np.full(len(_AROUND), height), radius * np.sin(_AROUND)], axis=1
-    )
-    corners = [part for a, b in zip(rim, rim[1:], strict=False) for part in (np.zeros(3), a, b)]
-    return _triangles("cones", i, corners, (*color[:3], 0.25))
 
 
 def _triangles(namespace: str, number: int, corners: Sequence[Array], color: Color) -> Marker:

@@ -31,8 +31,6 @@ def run(context: typer.Context, options: RunOptions) -> None:
     2: the scenario was refused and nothing was started; 3: the object was dropped; 130, 143: ended
     by SIGINT, SIGTERM.
     """
-    if options.open_report and not (options.record and options.report):
-        raise ConfigurationError("--open shows the report: leave --no-record and --no-report out")
     signals, ros_arguments = context.obj or (_watching(), [])
     raise typer.Exit(_run(options, signals, ros_arguments, str(context.find_root().info_name)))
 

@@ -127,8 +127,6 @@ def _conclude(
         if options.report:
             tell("writing the report")
             show(results.report_line(found.run))
-    if options.open_report:
-        show(results.open_report(directory))
     show(f"{results.in_words(verdict, found)}; results: {directory.path}")
     with contextlib.suppress(OSError):  # the terminal may be gone
         print(*verdict.reasons, sep="\n", end="\n" * bool(verdict.reasons), file=sys.stderr)

@@ -8,12 +8,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from rclpy.node import Node
 
 from tactile_hand_ros import names
-from tactile_hand_ros.errors import TactileHandError
 from tactile_hand_ros.ros.node import PUBLICATIONS, SUBSCRIPTIONS
-
-
-class DuplicateNodeError(TactileHandError):
-    """A node of the same name already runs."""
 
 
 def missing_endpoints(
@@ -29,12 +24,8 @@ def missing_endpoints(
         members: Names of the nodes. A recorder among them must receive every topic but the
             commands of users; leave out one that shares a process with the publishers.
         facts: The values in the diagnostics of the nodes, by full name.
-
-    Raises:
-        DuplicateNodeError: If a node of the run exists twice.
     """
     prefix = node.get_namespace().rstrip("/")
-    _refuse_duplicates(node, [f"{prefix}/{name}" for name in members])
     reports = {name: facts.get(f"{prefix}/{name}") for name in members}
     yield from ((n, f"{n} does not report yet") for n, report in reports.items() if report is None)
     sent, received = _ends(reports, PUBLICATIONS), _ends(reports, SUBSCRIPTIONS)
@@ -50,17 +41,6 @@ def missing_endpoints(
         for name, count in publishers.items():
             if count < wanted:
                 yield name, f"{name} has matched {count} of {wanted} subscribers of {topic}"
-
-
-def _refuse_duplicates(node: Node, wanted: Sequence[str]) -> None:
-    pairs = node.get_node_names_and_namespaces()
-    present = [f"{namespace.rstrip('/')}/{name}" for name, namespace in pairs]
-    for full in wanted:
-        if present.count(full) > 1:
-            raise DuplicateNodeError(
-                f"a node called '{full}' already runs in this ROS domain; stop the other run, "
-                "or give this one another --namespace or ROS_DOMAIN_ID"
-            )
 
 
 def _ends(reports: Mapping[str, Mapping[str, str] | None], end: str) -> dict[str, dict[str, int]]:

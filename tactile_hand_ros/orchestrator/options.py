@@ -51,9 +51,6 @@ class RunOptions:
     out: Annotated[Path, typer.Option(help="Where the runs are kept.")] = Path("runs")
     record: Annotated[bool, typer.Option(help="Record a bag.")] = True
     report: Annotated[bool, typer.Option(help="Write report.html of what was recorded.")] = True
-    open_report: Annotated[
-        bool, typer.Option("--open", help="Open the report in a browser at the end.")
-    ] = False
     composed: Annotated[
         bool | None,
         typer.Option(

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import datetime
 import json
-import webbrowser
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -17,7 +16,7 @@ from tactile_hand_ros.files import replace_text
 from tactile_hand_ros.orchestrator.run_directory import RunDirectory
 from tactile_hand_ros.orchestrator.session import Plan, RunOutcome
 from tactile_hand_ros.report import tables
-from tactile_hand_ros.report.page import REPORT, write_report
+from tactile_hand_ros.report.page import write_report
 from tactile_hand_ros.run.metrics import (
     DROPPED,
     NOT_REACHED,
@@ -241,13 +240,3 @@ def report_line(run: Run) -> str:
         return f"report: {write_report(run)}"
     except Exception as error:
         return f"the report was not written: {error or type(error).__name__}"
-
-
-def open_report(directory: RunDirectory) -> str:
-    """Open the report in a browser and return a line about it, or what to do instead."""
-    file = (directory.path / REPORT).resolve()
-    if not file.is_file():
-        return "there is no report to open"
-    if webbrowser.open(file.as_uri()):
-        return f"opened {file.as_uri()}"
-    return f"no browser was found here; open {file.as_uri()} in one"

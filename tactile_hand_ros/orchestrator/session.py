@@ -206,7 +206,6 @@ class Session:
         Raises:
             StartupError: With what is missing and the last lines of the logs.
             NodeDiedError: If a process ended.
-            DuplicateNodeError: If a node of the run exists twice.
         """
         plan, own = self.plan, node.get_fully_qualified_name()
         members = [*NODES, ORCHESTRATOR]

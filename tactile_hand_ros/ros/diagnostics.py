@@ -31,7 +31,9 @@ _WINDOW = 4096
 
 
 @dataclass
-class _Rejections:
+class _Notes:
+    """How often something went wrong, and how it did the last time."""
+
     count: int = 0
     reason: str = ""
     last: float = -np.inf
@@ -56,8 +58,8 @@ class Diagnostics:
         self._ticks = 0
         self._reported_ticks = 0
         self._reported_at = clock()
-        self._rejections: dict[str, _Rejections] = {}
-        self._errors: dict[str, _Rejections] = {}
+        self._rejections: dict[str, _Notes] = {}
+        self._errors: dict[str, _Notes] = {}
         self._values: dict[str, Any] = {}
         self._faults: dict[str, tuple[str, bytes]] = {}
         self._latencies = np.zeros(_WINDOW)
@@ -107,8 +109,8 @@ class Diagnostics:
         """
         return self._note(self._errors, source, text)
 
-    def _note(self, entries: dict[str, _Rejections], key: str, error: Exception | str) -> bool:
-        entry = entries.setdefault(key, _Rejections())
+    def _note(self, entries: dict[str, _Notes], key: str, error: Exception | str) -> bool:
+        entry = entries.setdefault(key, _Notes())
         now = self._clock()
         entry.count, entry.reason, entry.last = entry.count + 1, str(error)[:_LONGEST_REASON], now
         is_due = now - entry.logged >= WARN_SECONDS
@@ -158,7 +160,7 @@ class Diagnostics:
         }
 
 
-def _latest(entries: dict[str, _Rejections], now: float) -> list[tuple[str, _Rejections]]:
+def _latest(entries: dict[str, _Notes], now: float) -> list[tuple[str, _Notes]]:
     """Return the newest entry, none if it is older than `WARN_SECONDS`."""
     recent = [item for item in entries.items() if now - item[1].last < WARN_SECONDS]
     return sorted(recent, key=lambda item: item[1].last)[-1:]

@@ -4,8 +4,8 @@
 The standard executors of rclpy build a new wait set and a coroutine per callback at every
 wake-up, which costs more than the message itself. `WaitSetExecutor` keeps one wait set and calls
 subscriptions, timers and guard conditions directly. Everything rare (services, clients, QoS
-events) is handed to the inherited, public `SingleThreadedExecutor`. Callbacks are plain functions:
-coroutines are not awaited.
+events) has its turn every `RARE_PERIOD_NS` in the inherited, public `SingleThreadedExecutor`.
+Callbacks are plain functions: coroutines are not awaited.
 
 Pieces of rclpy (Jazzy) that are not public:
 
@@ -14,10 +14,6 @@ Pieces of rclpy (Jazzy) that are not public:
   ``handle`` of subscriptions and timers.
 * ``Subscription._callback_type``: whether a callback takes the message's info too.
 * ``Executor._take_service``, ``_guard``, ``_sigint_gc`` and ``_is_shutdown`` of the base class.
-
-While messages flow, the full wait set, which also has every service and QoS event, gets its turn
-only every `FULL_PERIOD_NS`, because waiting on it costs five times as much. When they pause, it is
-the one that blocks, and nothing is polled.
 
 A node that has work of its own to do between messages has a function `work`. It is called again and
 again, and returns whether there is more; the executor does not block meanwhile.
@@ -30,9 +26,9 @@ from __future__ import annotations
 
 import time
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import ExitStack, suppress
-from typing import Any, NamedTuple
+from typing import Any
 
 from rclpy.context import Context
 from rclpy.exceptions import InvalidHandle
@@ -41,27 +37,22 @@ from rclpy.executors import (
     ExternalShutdownException,
     ShutdownException,
     SingleThreadedExecutor,
+    TimeoutException,
 )
+from rclpy.guard_condition import GuardCondition
 from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
 from rclpy.node import Node
 from rclpy.service import Service
 from rclpy.subscription import Subscription
 from rclpy.timer import Timer
-from rclpy.waitable import NumberOfEntities
 
 from tactile_hand_ros.errors import MessageError
 
 _BURST = 100
 """Messages taken from one subscription before the others get their turn."""
 
-FULL_PERIOD_NS = 20_000_000
-"""Longest time a service request or QoS event waits while messages flow [ns]."""
-
-_SLOW_TIMER_NS = 5 * FULL_PERIOD_NS
-"""Timers of at least this period have only their turn in the full set [ns]."""
-
-WAIT_LIMIT_NS = 1_000_000_000
-"""Longest uninterrupted wait [ns]: a lost wake-up costs a second instead of a hang."""
+RARE_PERIOD_NS = 50_000_000
+"""Longest time a service request or QoS event waits [ns]: looking for them costs a millisecond."""
 
 
 def spin(nodes: Node | Sequence[Node], executor: Executor | None = None) -> None:
@@ -88,129 +79,43 @@ def spin(nodes: Node | Sequence[Node], executor: Executor | None = None) -> None
         chosen.shutdown()
 
 
-class Ready(NamedTuple):
-    """What a wait found, and whether the public executor must serve something else."""
-
-    guards: list[Any]
-    timers: list[Timer]
-    subscriptions: list[Subscription]
-    has_rare: bool = False
-
-
-class WaitedEntities:
-    """The entities of some nodes, held alive, and the two wait sets over them."""
+class _WaitSet:
+    """The frequent entities of some nodes, held alive, and one native wait set over them."""
 
     def __init__(
-        self,
-        executor: Executor,
-        own_guards: Iterable[Any],
-        context: Context,
-        stack: ExitStack,
+        self, entities: Mapping[str, Iterable[Any]], context: Context, stack: ExitStack
     ) -> None:
         """Collect the entities.
 
         Args:
-            executor: Serves the nodes.
-            own_guards: Guard conditions that only wake the executor.
+            entities: What to wait for, by its kind in rclpy.
             context: Context of all nodes.
             stack: Keeps every handle in use until it is closed.
         """
-        nodes = list(executor.get_nodes())
-        self._stack = stack
         self._known: dict[int, Any] = {}
-        self._waitables: list[Any] = []
-        lean, rare = self._hold("guard_condition", own_guards), []
-        for node in nodes:
-            slow = [timer for timer in node.timers if timer.timer_period_ns >= _SLOW_TIMER_NS]
-            lean += self._hold("subscription", filter(executor.can_execute, node.subscriptions))
-            lean += self._hold("timer", (timer for timer in node.timers if timer not in slow))
-            lean += self._hold("guard_condition", node.guards)
-            rare += self._hold("timer", slow)
-            rare += self._hold("client", node.clients)
-            rare += self._hold("service", node.services)
-            for waitable in node.waitables:
-                with suppress(InvalidHandle):
-                    stack.enter_context(waitable)
-                    self._waitables.append(waitable)
+        held: list[tuple[str, Any]] = []
         stack.enter_context(context.handle)
-        self._lean = _WaitSet(lean, [], context, stack)
-        self._full = _WaitSet(lean + rare, self._waitables, context, stack)
-        self._full_due = 0
-
-    def _hold(self, kind: str, entities: Iterable[Any]) -> list[tuple[str, Any]]:
-        """Hold entities alive and return kind and handle of each."""
-        held = []
-        for entity in entities:
+        for kind, each in ((kind, each) for kind, some in entities.items() for each in some):
             with suppress(InvalidHandle):  # destroyed by another thread in the meantime
-                self._stack.enter_context(entity.handle)
-                self._known[entity.handle.pointer] = entity
-                held.append((kind, entity.handle))
-        return held
-
-    def wait(self, limit_ns: int) -> Ready:
-        """Wait until something is ready, at most for a time [ns], and return it."""
-        if time.monotonic_ns() < self._full_due:
-            ready = self._found(self._lean.wait(min(limit_ns, FULL_PERIOD_NS)))
-            if not limit_ns or ready.subscriptions or ready.timers or ready.guards:
-                return ready
-        native = self._full.wait(limit_ns)
-        is_rare = self._is_rare(native)
-        # The public executor serves one thing at a time: look again until all is served.
-        self._full_due = 0 if is_rare else time.monotonic_ns() + FULL_PERIOD_NS
-        return self._found(native, has_rare=is_rare)
-
-    def _found(self, native: Any, *, has_rare: bool = False) -> Ready:
-        get = native.get_ready_entities
-        guards, timers = self._with(get("guard_condition")), self._with(get("timer"))
-        return Ready(guards, timers, self._with(get("subscription")), has_rare)
-
-    def _with(self, pointers: list[int]) -> list[Any]:
-        """Return the entities with these pointers; others belong to waitables, which are rare."""
-        known = self._known
-        return [known[at] for at in pointers if at in known] if pointers else []
-
-    def _is_rare(self, native: Any) -> bool:
-        if native.get_ready_entities("service") or native.get_ready_entities("client"):
-            return True
-        # All are asked: each notes for itself that it is ready.
-        return any([waitable.is_ready(native) for waitable in self._waitables])
-
-
-class _WaitSet:
-    """One native wait set and what goes into it."""
-
-    def __init__(
-        self,
-        entries: list[tuple[str, Any]],
-        waitables: list[Any],
-        context: Context,
-        stack: ExitStack,
-    ) -> None:
-        own = Counter(kind for kind, _ in entries)
-        more = sum((waitable.get_num_entities() for waitable in waitables), NumberOfEntities())
-        self._native = _rclpy.WaitSet(
-            own["subscription"] + more.num_subscriptions,
-            own["guard_condition"] + more.num_guard_conditions,
-            own["timer"] + more.num_timers,
-            own["client"] + more.num_clients,
-            own["service"] + more.num_services,
-            more.num_events,
-            context.handle,
-        )
+                stack.enter_context(each.handle)
+                self._known[each.handle.pointer] = each
+                held.append((kind, each.handle))
+        count = Counter(kind for kind, _ in held)
+        sizes = [count[kind] for kind in ("subscription", "guard_condition", "timer")]
+        self._native = _rclpy.WaitSet(*sizes, 0, 0, 0, context.handle)
         stack.enter_context(self._native)
-        self._waitables = waitables
-        self._adding = [(getattr(self._native, f"add_{kind}"), handle) for kind, handle in entries]
+        self._adding = [(getattr(self._native, f"add_{kind}"), handle) for kind, handle in held]
 
-    def wait(self, limit_ns: int) -> Any:
-        """Wait; this empties the native set of what is not ready, so it is filled each time."""
-        native = self._native
-        native.clear_entities()
+    def wait(self, limit_ns: int) -> None:
+        """Wait until something is ready, at most for a time [ns]."""
+        self._native.clear_entities()  # a wait removes what is not ready
         for add, handle in self._adding:
             add(handle)
-        for waitable in self._waitables:
-            waitable.add_to_wait_set(native)
-        native.wait(limit_ns)
-        return native
+        self._native.wait(limit_ns)
+
+    def ready(self, kind: str) -> list[Any]:
+        """Return what the last wait found of a kind."""
+        return [self._known[at] for at in self._native.get_ready_entities(kind)]
 
 
 class WaitSetExecutor(SingleThreadedExecutor):
@@ -225,6 +130,8 @@ class WaitSetExecutor(SingleThreadedExecutor):
     def __init__(self, *, context: Context | None = None) -> None:
         """Create the executor for a context, by default the global one."""
         self._stale = True
+        self._spins = False
+        self._rare_due = 0
         self._afterwards: list[Callable[[], None]] = []
         super().__init__(context=context)
 
@@ -247,38 +154,53 @@ class WaitSetExecutor(SingleThreadedExecutor):
         """Call back once, after the callbacks of all messages that are there now."""
         self._afterwards.append(callback)
 
+    def can_execute(self, entity: Any) -> bool:
+        """Return whether the public executor serves an entity; only rare ones during `spin`."""
+        is_frequent = isinstance(entity, Subscription | Timer | GuardCondition)
+        return not (self._spins and is_frequent) and bool(super().can_execute(entity))
+
     def spin(self) -> None:
         """Execute callbacks until the context or the executor is shut down."""
         while self._is_running():
-            self._stale = False
-            guards = (self._guard, self._sigint_gc)
             with ExitStack() as stack:
-                entities = WaitedEntities(self, guards, self._context, stack)
+                waiting = self._entities(stack)
                 works = [node.work for node in self.get_nodes() if hasattr(node, "work")]
-                limit = 0 if works else WAIT_LIMIT_NS
+                is_busy = bool(works)
                 while not self._stale:
-                    self._step(entities, limit)
-                    if works:
-                        limit = 0 if any([work() for work in works]) else WAIT_LIMIT_NS
+                    self._step(waiting, 0 if is_busy else RARE_PERIOD_NS)
+                    is_busy = any([work() for work in works])
 
-    def _step(self, entities: WaitedEntities, limit_ns: int) -> None:
+    def _entities(self, stack: ExitStack) -> _WaitSet:
+        self._stale, self._spins = False, False
+        nodes = self.get_nodes()
+        guards = [self._guard, self._sigint_gc, *(g for node in nodes for g in node.guards)]
+        own = [s for node in nodes for s in node.subscriptions if self.can_execute(s)]
+        timers = [timer for node in nodes for timer in node.timers]
+        self._spins = True
+        kinds = {"subscription": own, "timer": timers, "guard_condition": guards}
+        return _WaitSet(kinds, self._context, stack)
+
+    def _step(self, waiting: _WaitSet, limit_ns: int) -> None:
         """Wait once, at most for a time [ns], and serve what is ready."""
-        ready = entities.wait(limit_ns)
-        if ready.guards and not self._is_running():
+        waiting.wait(limit_ns)
+        guards = waiting.ready("guard_condition")
+        if guards and not self._is_running():
             self._stale = True
-        for guard in ready.guards:
+        for guard in guards:
             if guard.callback is not None and not self._stale:
                 guard.callback()
-        for timer in ready.timers:
+        for timer in waiting.ready("timer"):
             # A cancelled timer is reported as ready once more.
             if not self._stale and timer.handle.is_timer_ready():
                 timer.handle.call_timer()
                 timer.callback()
-        for subscription in ready.subscriptions:
+        for subscription in waiting.ready("subscription"):
             self._drain(subscription)
         self._call_afterwards()
-        if ready.has_rare and not self._stale:
-            self.spin_once(timeout_sec=0)
+        if time.monotonic_ns() >= self._rare_due:
+            while self._is_running() and self._serve(0.0):
+                pass
+            self._rare_due = time.monotonic_ns() + RARE_PERIOD_NS
 
     def _call_afterwards(self) -> None:
         if self._afterwards:
@@ -305,13 +227,22 @@ class WaitSetExecutor(SingleThreadedExecutor):
 
     def spin_once(self, timeout_sec: float | None = None) -> None:
         """Serve one thing, as the public executor does."""
+        self._serve(timeout_sec)
+        self._call_afterwards()
+
+    def _serve(self, timeout_sec: float | None) -> bool:
+        """Return whether the public executor has found something to serve."""
         try:
-            super().spin_once(timeout_sec)
-        except (ExternalShutdownException, ShutdownException):
+            task, *_ = self.wait_for_ready_callbacks(timeout_sec)
+            task()
+            task.result()  # raises what the callback raised
+        except (TimeoutException, ShutdownException):
+            return False
+        except ExternalShutdownException:
             raise
         except Exception as error:
             self._survive("services", error)
-        self._call_afterwards()
+        return True
 
     # A request of damaged bytes makes rclpy raise while it takes it, which would leave the service
     # and its callback group locked for ever.

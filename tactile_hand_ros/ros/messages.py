@@ -2,10 +2,10 @@
 """Messages as CDR bytes: numbers are read and written in place, everything else is constant.
 
 Five messages a tick and finger make generated (de)serialization the largest cost of a node. In a
-tick message only the stamp and the numbers change, so a `CdrTemplate` keeps the rest. Bytes that do
-not fit the template (another order of joints, another frame, a big-endian sender) are read field by
-field. Whatever the way, what cannot be used is refused with `MessageError` in one sentence.
-Written bytes have zeros for padding, so equal numbers give equal bytes.
+tick message only the stamp and the numbers change, so a `CdrTemplate` keeps the rest, and a
+`ContentReader` looks at the rest only when it has changed. What cannot be used is refused with
+`MessageError` in one sentence. Written bytes have zeros for padding, so equal numbers give equal
+bytes.
 
 Source: OMG DDS-XTypes 1.3, 7.4 (plain CDR version 1); REP 2000 types of ROS 2 Jazzy.
 """
@@ -23,7 +23,7 @@ from builtin_interfaces.msg import Time
 from numpy.typing import NDArray
 from sensor_msgs.msg import JoyFeedback, JoyFeedbackArray
 
-from tactile_hand_ros.cdr import CdrTemplate, Content, header_stamp, read_content, to_nanoseconds
+from tactile_hand_ros.cdr import CdrTemplate, Content, ContentReader, to_nanoseconds
 from tactile_hand_ros.config.explanation import did_you_mean
 from tactile_hand_ros.control.contact import Contacts
 from tactile_hand_ros.errors import MessageError, UnsafeOutputError
@@ -171,8 +171,9 @@ class WrenchCodec:
         """
         self._frame = None if any_frame else frame
         self._nan_allowed = nan_allowed
-        self._template = CdrTemplate().text(frame).doubles(6).finish()
-        self._force = self._template.view(0)[:3]
+        self._template = CdrTemplate().text(frame).doubles(6)
+        self._force = self._template.finish()[0][:3]
+        self._read = ContentReader("geometry_msgs/msg/WrenchStamped")
 
     def encode(self, force: Sequence[float] | Array, stamp_ns: int) -> bytes:
         """Return the message for a force of shape (3,).
@@ -193,20 +194,15 @@ class WrenchCodec:
             MessageError: For bytes of another type, a wrong frame, a number beyond
                 `LARGEST_NUMBER`, or NaN where it is not allowed.
         """
-        read = self._template.unpack(data)
-        if read is not None:
-            seconds, nanoseconds, x, y, z, *_ = read
-            stamp = to_nanoseconds(seconds, nanoseconds)
-        else:
-            content = read_content("geometry_msgs/msg/WrenchStamped", data)
-            if self._frame is not None:
-                _check_frame(content, self._frame)
-            stamp, (x, y, z) = content.stamp, content.doubles["wrench"][:3].tolist()
+        content = self._read(data)
+        if self._frame is not None:
+            _check_frame(content, self._frame)
+        x, y, z = content.doubles["wrench"][:3].tolist()
         if not x * x + y * y + z * z <= _LARGEST_SQUARE:
             if self._nan_allowed and any(map(math.isnan, (x, y, z))):
-                return stamp, (math.nan,) * 3
+                return content.stamp, (math.nan,) * 3
             _checked_vector((x, y, z), "force")
-        return stamp, (x, y, z)
+        return content.stamp, (x, y, z)
 
     def decode_normal(self, data: bytes) -> tuple[int, float]:
         """Return stamp [ns] and the normal force, as which k_f is sent; see `decode`."""
@@ -220,9 +216,9 @@ class ContactsCodec:
     def __init__(self, count: int) -> None:
         """Fix the number of fingers k."""
         self._count = count
-        template = CdrTemplate().text(PALM_FRAME).length(count)
-        self._template = template.doubles(7 * count).finish()
-        self._rows = self._template.view(0).reshape(count, 7)
+        self._template = CdrTemplate().text(PALM_FRAME).length(count).doubles(7 * count)
+        self._rows = self._template.finish()[0].reshape(count, 7)
+        self._read = ContentReader("geometry_msgs/msg/PoseArray")
 
     def encode(self, positions: Array, quaternions: Array, stamp_ns: int) -> bytes:
         """Return the message; NaN rows where a finger has no contact.
@@ -246,14 +242,9 @@ class ContactsCodec:
             MessageError: For bytes of another type, a wrong frame or length, infinity or a
                 quaternion not of unit length.
         """
-        found = self._template.decode(data)
-        if found is not None:
-            stamp, numbers = header_stamp(data), found[0]
-        else:
-            content = read_content("geometry_msgs/msg/PoseArray", data)
-            _check_frame(content, PALM_FRAME)
-            stamp, numbers = content.stamp, content.doubles["poses"]
-        rows = numbers.reshape(-1, 7)
+        content = self._read(data)
+        _check_frame(content, PALM_FRAME)
+        rows = content.doubles["poses"].reshape(-1, 7)
         if len(rows) != self._count:
             raise MessageError(
                 f"{len(rows)} contacts, expected {self._count}, one per finger, NaN for no contact."
@@ -268,7 +259,7 @@ class ContactsCodec:
                     f"{LARGEST_NUMBER:g} or all NaN."
                 )
             _checked_quaternion(quaternion, f"contact {index}")
-        return stamp, ContactPoses(rows[:, :3].copy(), rows[:, 3:].copy())
+        return content.stamp, ContactPoses(rows[:, :3].copy(), rows[:, 3:].copy())
 
     def decode_contacts(self, data: bytes) -> tuple[int, Contacts]:
         """Return stamp [ns] and contacts with rotation matrices; see `decode`."""
@@ -297,7 +288,6 @@ class JointCodec:
         self,
         names: Sequence[str],
         fields: Sequence[str] = ("position", "velocity", "effort"),
-        wanted: Sequence[str] = (),
         *,
         others: bool = False,
     ) -> None:
@@ -305,21 +295,22 @@ class JointCodec:
 
         Args:
             names: Joint names in the hand's order.
-            fields: Which of ``position``, ``velocity`` and ``effort`` are written, in this order.
-            wanted: The first of those fields, which are read; all by default.
+            fields: Which of ``position``, ``velocity`` and ``effort`` are written and read, in this
+                order.
             others: Whether a message that is read may have other joints too, such as an arm's.
         """
         self._names, self._others = list(names), others
         self._given: list[str] | None = None
         self._places = np.arange(0)
-        self._wanted = tuple(wanted or fields)
+        self._wanted = tuple(fields)
         template = CdrTemplate().text("").length(len(names))
         for name in names:
             template.text(name)
         for field in ("position", "velocity", "effort"):
             count = len(names) if field in fields else 0
             template.length(count).doubles(count)
-        self._template = template.finish()
+        self._template, self._blocks = template, template.finish()
+        self._read = ContentReader("sensor_msgs/msg/JointState")
 
     def encode(self, stamp_ns: int, *values: NDArray[Any]) -> bytes:
         """Return the message with one array of shape (m,) per field.
@@ -327,20 +318,20 @@ class JointCodec:
         Raises:
             UnsafeOutputError: If a number is not finite.
         """
-        if not all_usable(self._template.fill(*values)):
-            for block in values:
-                check_output(block)
+        for block, numbers in zip(self._blocks, values, strict=True):
+            block[:] = numbers
+            check_output(block)
         return self._template.stamped(stamp_ns)
 
     def decode(self, data: bytes) -> tuple[int, list[Array]]:
-        """Return stamp [ns] and one array of shape (m,) per wanted field.
+        """Return stamp [ns] and one array of shape (m,) per field.
 
         Raises:
             MessageError: For bytes of another type, unknown, missing or repeated joints, wrong
                 length, NaN or infinity.
         """
-        stamp, values, _ = self._decode(data)
-        return stamp, values
+        content = self._found(data)
+        return content.stamp, [self._own(content, field) for field in self._wanted]
 
     def decode_joints(self, data: bytes) -> tuple[int, Joints]:
         """Return stamp [ns] and what a driver sends, of which position and velocity are wanted.
@@ -348,24 +339,19 @@ class JointCodec:
         Raises:
             MessageError: As `decode`.
         """
-        stamp, (theta, rates), applied = self._decode(data)
-        return stamp, Joints(theta, rates, applied)
+        content, effort = self._found(data), None
+        theta, rates = self._own(content, "position"), self._own(content, "velocity")
+        with suppress(MessageError):
+            effort = self._own(content, "effort")
+        return content.stamp, Joints(theta, rates, effort)
 
-    def _decode(self, data: bytes) -> tuple[int, list[Array], Array | None]:
-        """Return stamp [ns], an array per wanted field, and a usable effort or None."""
-        found = self._template.decode(data)
-        if found is not None and all_usable(found[0]):
-            values = found[1]
-            return header_stamp(data), values[: len(self._wanted)], values[-1]
-        content = read_content("sensor_msgs/msg/JointState", data)
+    def _found(self, data: bytes) -> Content:
+        """Return a message, and find where in it each joint of the hand is."""
+        content = self._read(data)
         given = content.texts[1:]
         if given != self._given:
             self._places, self._given = self._places_in(given), given
-        values = [self._own(content, field) for field in self._wanted]
-        effort = None
-        with suppress(MessageError):
-            effort = self._own(content, "effort")
-        return content.stamp, values, effort
+        return content
 
     def _own(self, content: Content, field: str) -> Array:
         """Return a field in the hand's order, shape (m,)."""
@@ -409,8 +395,9 @@ class PoseCodec:
             nan_allowed: Whether the position, the quaternion or both may be NaN, which keeps them.
         """
         self._nan_allowed = nan_allowed
-        self._template = CdrTemplate().text(PALM_FRAME).doubles(7).finish()
-        self._row = self._template.view(0)
+        self._template = CdrTemplate().text(PALM_FRAME).doubles(7)
+        (self._row,) = self._template.finish()
+        self._read = ContentReader("geometry_msgs/msg/PoseStamped")
 
     def encode(self, position: Array, quaternion: Array, stamp_ns: int) -> bytes:
         """Return the message for a position [m] and a quaternion (x, y, z, w).
@@ -429,7 +416,7 @@ class PoseCodec:
             MessageError: For bytes of another type, a wrong frame, NaN, infinity or a quaternion
                 not of unit length.
         """
-        content = read_content("geometry_msgs/msg/PoseStamped", data)
+        content = self._read(data)
         _check_frame(content, PALM_FRAME)
         pose = Pose(*np.split(content.doubles["pose"], [3]))
         position_is_kept, rotation_is_kept = (
@@ -447,9 +434,9 @@ class ImuCodec:
 
     def __init__(self) -> None:
         """Prepare the constant bytes: no angular velocity and no acceleration, both unknown."""
-        self._template = CdrTemplate().text(PALM_FRAME).doubles(37).finish()
-        self._row = self._template.view(0)
-        self._row[:] = 0.0
+        self._template = CdrTemplate().text(PALM_FRAME).doubles(37)
+        (self._row,) = self._template.finish()
+        self._read = ContentReader("sensor_msgs/msg/Imu")
         self._row[[16, 28]] = -1.0  # first covariances of what is not measured
 
     def encode(self, orientation: Array, stamp_ns: int) -> bytes:
@@ -462,14 +449,13 @@ class ImuCodec:
         check_output(self._row)
         return self._template.stamped(stamp_ns)
 
-    @staticmethod
-    def decode(data: bytes) -> tuple[int, Array]:
+    def decode(self, data: bytes) -> tuple[int, Array]:
         """Return stamp [ns] and quaternion, shape (4,).
 
         Raises:
             MessageError: For bytes of another type, or a quaternion not of unit length.
         """
-        content = read_content("sensor_msgs/msg/Imu", data)
+        content = self._read(data)
         orientation = content.doubles["orientation"]
         _checked_quaternion(orientation.tolist(), "the orientation")
         return content.stamp, orientation

@@ -5,26 +5,19 @@ from __future__ import annotations
 
 import enum
 import json
-import math
 import sys
 from collections.abc import Callable, Mapping
 from typing import Any, Generic, TypeVar
 
 import yaml
 from pydantic.fields import FieldInfo
-from rcl_interfaces.msg import (
-    FloatingPointRange,
-    IntegerRange,
-    ParameterDescriptor,
-    SetParametersResult,
-)
 from rcl_interfaces.msg import Parameter as ParameterMessage
+from rcl_interfaces.msg import ParameterDescriptor, SetParametersResult
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from tactile_hand_ros.config.explanation import (
     allowed,
-    bound_of,
     choices_of,
     did_you_mean,
     element_type,
@@ -50,7 +43,6 @@ _ARRAYS = {
 _OF_ROS = ("use_sim_time", "start_type_description_service")
 _QOS_PREFIX = "qos_overrides."
 _LONGEST_REASON = 2000  # characters; a reason may repeat the value
-_INT64 = (-(2**63), 2**63 - 1)
 
 
 class ConfigParameters(Generic[C]):
@@ -107,18 +99,15 @@ class ConfigParameters(Generic[C]):
         }
 
     def _refuse(self, unknown: list[str]) -> None:
-        """Refuse unknown parameters, but only warn of those that a file gives to all nodes."""
+        """Refuse unknown parameters; those of a file may be meant for other nodes, so only warn."""
         source = self._node.get_fully_qualified_name()
-        shared = _given_to_all(self._node) if unknown else set()
         for name in unknown:
             hint = did_you_mean(name, list(self._fields))
-            if name not in shared:
+            if any(word.startswith(f"{name}:=") for word in sys.argv):
                 raise ConfigurationError(
                     f"{source}: unknown parameter '{name}'{hint}", source=source, place=name
                 )
-            self._node.get_logger().warning(
-                f"ignored parameter '{name}', which is given to all nodes: unknown here{hint}"
-            )
+            self._node.get_logger().warning(f"ignored the unknown parameter '{name}'{hint}")
 
     def _declare(self) -> None:
         """Declare the types, then set the values: only so an empty array keeps its type."""
@@ -164,30 +153,6 @@ class ConfigParameters(Generic[C]):
         if any(parameter.name in self._fields for parameter in parameters):
             self.config = self._candidate(parameters)
             self._on_change(self.config)
-
-
-def unused_qos_overrides(node: Node) -> list[str]:
-    """Return the QoS overrides that name no subscription of a node that is complete."""
-    given = node._parameter_overrides
-    return [n for n in given if n.startswith(_QOS_PREFIX) and not node.has_parameter(n)]
-
-
-def _given_to_all(node: Node) -> set[str]:
-    """Return the parameters that files give to nodes of any name, as below ``/**``.
-
-    ROS does not tell for whom a parameter was meant, so a node of another name is asked.
-    """
-    other = Node(
-        f"{node.get_name()}_other",
-        namespace=node.get_namespace(),
-        context=node.context,
-        enable_rosout=False,
-        start_parameter_services=False,
-    )
-    shared = set(other._parameter_overrides)
-    other.destroy_node()
-    # On the command line, what names no node is meant for the one that is started.
-    return {name for name in shared if not any(w.startswith(f"{name}:=") for w in sys.argv)}
 
 
 def with_known_types(callback: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Any]:
@@ -289,43 +254,14 @@ def to_parameters(config: Config) -> list[ParameterMessage]:
 
 
 def descriptor(field: FieldInfo, *, read_only: bool = False) -> ParameterDescriptor:
-    """Describe a field to ROS: text with unit, type, range and whether it may change."""
+    """Describe a field to ROS: text with unit, type, what is allowed, and whether it may change."""
     unit = unit_of(field)
-    kind = ros_type(field)
-    described = ParameterDescriptor(
-        type=kind.value,
+    return ParameterDescriptor(
+        type=ros_type(field).value,
         description=f"{field.description or ''} [{unit}]" if unit else field.description or "",
         additional_constraints=allowed(field.annotation, field),
         read_only=read_only,
     )
-    if kind is Type.DOUBLE:
-        described.floating_point_range = [
-            FloatingPointRange(from_value=float(low), to_value=float(high))
-            for low, high in _range(field, 0, -math.inf, math.inf)
-        ]
-    if kind is Type.INTEGER:
-        described.integer_range = [
-            IntegerRange(from_value=low, to_value=high, step=1)
-            for low, high in _range(field, 1, *_INT64)
-        ]
-    return described
-
-
-def _range(field: FieldInfo, step: int, lowest: Any, highest: Any) -> list[tuple[Any, Any]]:
-    """Return the closed range of a field, if it has one.
-
-    Args:
-        field: The field.
-        step: Distance of an open end to the first allowed number; 0 leaves it to the validation.
-        lowest: What stands for no lower bound.
-        highest: What stands for no upper bound.
-    """
-    above, below = bound_of(field, "gt"), bound_of(field, "lt")
-    low = bound_of(field, "ge") if above is None else above + step
-    high = bound_of(field, "le") if below is None else below - step
-    if low is None and high is None:
-        return []
-    return [(lowest if low is None else low, highest if high is None else high)]
 
 
 def to_params_yaml(config: Config, node_name: str) -> str:

@@ -20,7 +20,6 @@ from rclpy.utilities import remove_ros_args
 from tactile_hand_ros.errors import ConfigurationError, TactileHandError
 from tactile_hand_ros.ros.executor import spin
 from tactile_hand_ros.ros.middleware import use_sockets
-from tactile_hand_ros.ros.parameters import unused_qos_overrides
 from tactile_hand_ros.ros.scheduling import USAGE, Scheduling, take_scheduling
 
 EXIT_OK = 0
@@ -62,8 +61,6 @@ def run_nodes(
             nodes.append(node)
         if not _was_signalled:
             for node in nodes:
-                for name in unused_qos_overrides(node):
-                    node.get_logger().warning(f"ignored '{name}': no such subscription here")
                 node.get_logger().info("ready")
     except BaseException as error:  # every way to fail must take down what was built
         return _stop(nodes, _code_of(error, EXIT_REFUSED))

@@ -77,17 +77,6 @@ def yield_while_resending() -> None:
                 os.sched_setscheduler(thread, os.SCHED_FIFO, os.sched_param(1))
 
 
-def use_batch_scheduling() -> None:
-    """Ask for SCHED_BATCH: the same fraction of the time, but no interruption of other processes.
-
-    For one that no other waits for. Where the kernel has no such policy nothing changes.
-    """
-    with contextlib.suppress(AttributeError, OSError):
-        for thread in _threads():
-            if os.sched_getscheduler(thread) == os.SCHED_OTHER:
-                os.sched_setscheduler(thread, os.SCHED_BATCH, os.sched_param(0))
-
-
 def take_scheduling(words: Sequence[str]) -> tuple[Scheduling, list[str]]:
     """Read the option out of a command line.
 

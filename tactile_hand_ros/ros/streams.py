@@ -39,13 +39,13 @@ class Stream:
 
 def joints(joint_names: Sequence[str]) -> Stream:
     """Declare the joint states; values are `Joints`. A message may have an arm's joints too."""
-    codec = JointCodec(joint_names, wanted=("position", "velocity"), others=True)
+    codec = JointCodec(joint_names, others=True)
     return Stream(JointState, {names.JOINT_STATES: codec.decode_joints}, from_driver=True)
 
 
 def imu() -> Stream:
     """Declare how the palm lies in the world; values are quaternions (x, y, z, w), shape (4,)."""
-    return Stream(Imu, {names.IMU: ImuCodec.decode}, from_driver=True)
+    return Stream(Imu, {names.IMU: ImuCodec().decode}, from_driver=True)
 
 
 def contacts(fingers: int) -> Stream:
@@ -87,21 +87,14 @@ def true_contacts(fingers: int) -> Stream:
 
 
 def true_sliding(finger_names: Sequence[str]) -> Stream:
-    """Declare how fast the contacts slide; values of shape (k,), m/s."""
-    return _column(names.TRUE_SLIP, JointCodec(finger_names, ("position", "velocity")), 1)
+    """Declare distance slid and sliding speed; values are two arrays of shape (k,), m and m/s."""
+    decode = JointCodec(finger_names, ("position", "velocity")).decode
+    return Stream(JointState, {names.TRUE_SLIP: decode})
 
 
 def true_forces(finger_names: Sequence[str]) -> Stream:
     """Declare the forces of the simulation; values in contact frames, shape (k, 3), N."""
     return _wrenches(names.true_wrench, finger_names)
-
-
-def _column(topic: str, codec: JointCodec, field: int) -> Stream:
-    def decode(data: bytes) -> tuple[int, Array]:
-        stamp, values = codec.decode(data)
-        return stamp, values[field]
-
-    return Stream(JointState, {topic: decode})
 
 
 def _wrenches(

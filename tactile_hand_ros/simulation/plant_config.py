@@ -160,14 +160,6 @@ class PlantConfig(Config):
     pacing: Literal["lockstep", "realtime"] = param(
         "lockstep", "lockstep waits for each command, realtime follows the wall clock"
     )
-    busy_wait: float = param(
-        0.0,
-        "in real time, time before each tick spent in a busy wait: less jitter for more processor "
-        "time; at most half a tick",
-        unit="s",
-        ge=0.0,
-        le=0.01,
-    )
     duration: float = param(0.0, "simulated time of the run, 0 for no end", unit="s", ge=0.0)
     autostart: bool = param(True, "run immediately; otherwise wait for the run service")
     command_timeout: float = param(

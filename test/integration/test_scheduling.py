@@ -15,7 +15,7 @@ import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from support.spinning import spinning
 
-from bench.processes import CapturedProcess, isolated_domain, start_executable
+from bench.processes import CapturedProcess, isolated_domain
 from tactile_hand_ros import names
 from tactile_hand_ros.ros.middleware import ros_context
 from tactile_hand_ros.ros.processes import executable_path, wait_until
@@ -85,13 +85,3 @@ def test_fifo_where_it_is_permitted_and_a_warning_where_not(reports, permitted: 
             assert policies == {os.SCHED_OTHER}
         process.send(signal.SIGINT)
         assert process.wait() == 0
-
-
-def test_the_recorder_interrupts_nobody_unless_it_is_asked_to(tmp_path: Path, reports) -> None:
-    """What the kernel told to its threads when they were made is in force."""
-    output = ("--ros-args", "-p", f"output:={tmp_path / 'bag'}")
-    with start_executable("recorder", *output) as process:
-        _, facts = first(reports)
-        assert facts["scheduling_policy"] == "SCHED_BATCH"
-        policies = {os.sched_getscheduler(thread) for thread in threads(process.pid)}
-        assert policies == {os.SCHED_BATCH}

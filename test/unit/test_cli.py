@@ -131,7 +131,6 @@ def test_wrong_usage(capsys: pytest.CaptureFixture[str]) -> None:
 
 def test_run_refuses_what_contradicts_itself(capsys: pytest.CaptureFixture[str]) -> None:
     assert "given twice" in refused(capsys, "run", "paper", "--scenario", "pull")
-    assert "--no-report" in refused(capsys, "run", "--open", "--no-report")
     assert "the scenario is ''" in refused(capsys, "run", "")
 
 

@@ -51,6 +51,7 @@ class InProcessHand(Protocol):
 
 
 CONFLICT = two_senders(names.JOINT_COMMAND)
+_LEFT = f"no {names.JOINT_COMMAND} since two senders of it were there"
 
 NO_INFO: Mapping[str, Any] = MappingProxyType({})
 
@@ -151,7 +152,7 @@ class PlantDriver:
         self._senders = SenderCheck()
         self._modes = ModeLog(node.get_logger().info)
         self._topics = PlantTopics(node, run.plant.hand, turns=bool(c.palm_motion))
-        self._pace = Pace(c.tick, round(1e9 * c.busy_wait))
+        self._pace = Pace(c.tick)
         self._pacer = node.create_timer(1e-9 * c.tick, self._on_pace)
         self._pacer.timer_period_ns = c.tick
         watch = 0.25 * min(c.resend_after, c.command_timeout)
@@ -304,6 +305,7 @@ class PlantDriver:
     def _publish_hold(self) -> None:
         held = self._run.guard.holding
         self._topics.publish_hold(held)
+        self._modes.note(self.mode, self._run.reason)
         if self._hand is not None:
             self._hand.hold(held)
 
@@ -341,6 +343,7 @@ class PlantDriver:
     def _finish(self) -> None:
         self._is_finished = True
         self._let_time_pass(False)
+        self._modes.note(self.mode)
         self._announce(f"finished at {1e-9 * self._run.stamp:g} s", OK)
 
     def _announce(self, text: str, level: bytes) -> None:
@@ -360,6 +363,8 @@ class PlantDriver:
             self._watcher.cancel()  # until it starts again
             return
         now = time.monotonic()
+        if run.reason == CONFLICT and not self._senders.in_conflict:
+            run.hold(_LEFT)
         if run.refusing or not self._waits or self._torque is not None:
             return
         if now - self._answered_at >= c.command_timeout:
@@ -387,7 +392,6 @@ class PlantDriver:
     def report(self, put: Callable[[str, object], None]) -> None:
         """Report mode, time and silence under the keys of diagnostics."""
         put("mode", self.mode)
-        self._modes.note(self.mode, self._run.reason if self.mode == "holding" else "")
         put("finished", self._is_finished)
         put("time_s", 1e-9 * self._run.stamp)
         put("tick_ns", self._run.stamp)

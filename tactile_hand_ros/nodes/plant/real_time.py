@@ -22,26 +22,22 @@ class Pace:
         lost_ns: Wall time that was given up because the machine could not follow [ns].
     """
 
-    def __init__(
-        self, tick_ns: int, busy_wait_ns: int = 0, clock: Callable[[], int] = time.monotonic_ns
-    ) -> None:
+    def __init__(self, tick_ns: int, clock: Callable[[], int] = time.monotonic_ns) -> None:
         """Prepare.
 
         Args:
             tick_ns: Length of a tick [ns].
-            busy_wait_ns: How long before a tick `due` starts to watch the clock [ns].
             clock: Time [ns].
         """
         self._tick = tick_ns
-        self._lead = min(busy_wait_ns, tick_ns // 2)
         self._clock = clock
         self.late = self.skipped = self.lost_ns = 0
         self.start()
         self.stop()
 
     def start(self) -> None:
-        """Let the first tick come due one tick from now, or that later that `due` waits."""
-        self._due_at = self._clock() + self._tick + self._lead
+        """Let the first tick come due one tick from now."""
+        self._due_at = self._clock() + self._tick
         self._awaits_command = True
 
     def stop(self) -> None:
@@ -49,10 +45,8 @@ class Pace:
         self._awaits_command = False
 
     def due(self) -> int:
-        """Return how many ticks are due now, and count them as done; wait for one nearly due."""
+        """Return how many ticks are due now, and count them as done."""
         behind = self._clock() - self._due_at
-        while -self._lead <= behind < 0:
-            behind = self._clock() - self._due_at
         if behind < -self._tick // 2:  # a timer may be early, but not by half a tick
             return 0
         count = max(1, behind // self._tick + 1)

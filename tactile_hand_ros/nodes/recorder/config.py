@@ -29,13 +29,6 @@ class RecorderConfig(Config):
         [], "regular expressions; a topic is not recorded if one matches its whole name"
     )
     compression: Compression = param("zstd", "compression of the chunks of the MCAP file")
-    flush_period: float = param(
-        0.05,
-        "longest time a message waits in memory before it is written",
-        unit="s",
-        ge=0.01,
-        le=60,
-    )
     scenario: str = param(
         "", "scenario of the run as YAML text, stored in the bag with the versions in use"
     )

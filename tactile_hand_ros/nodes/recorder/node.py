@@ -20,13 +20,11 @@ from tactile_hand_ros.nodes.recorder.writer_process import WriterProcess
 from tactile_hand_ros.ros.diagnostics import WARN
 from tactile_hand_ros.ros.node import SUBSCRIPTIONS, TactileNode, TickPublisher
 from tactile_hand_ros.ros.runner import run_node
-from tactile_hand_ros.ros.scheduling import use_batch_scheduling
 
 _QUEUE_DEPTH = 5000  # messages that a topic's queue holds between two visits
 _VISIT_PERIOD = 0.01  # s between two visits to the queues of the subscriptions
-_DISCOVERY_PERIOD = 0.02  # s between two looks at the graph for new topics
-_CALM_PERIOD = 0.2  # s, for a graph that does not change
-_CALM_AFTER = 1.0  # s
+_DISCOVERY_PERIOD = 0.05  # s between two looks at the graph for new topics
+_FLUSH_PERIOD = 0.05  # s, longest time a message waits in memory before it is written
 _QUIET = 0.05  # s without a message after which nothing more is on its way
 _LAST_CALL = 0.5  # s, longest wait for that while publishers continue
 _ATTENTION = 0.002  # s between two visits to the queues in that time
@@ -67,7 +65,6 @@ class RecorderNode(TactileNode[RecorderConfig]):
         self._topics: dict[str, RawTopic] = {}
         self._tapped: dict[str, int] = {}  # channels of publishers of this process
         self._refused: set[str] = set()
-        self._changed_at = time.monotonic()
         self._next_discovery = self._next_flush = 0.0
         origin = provenance(self.config.scenario)
         compression = self.config.compression
@@ -152,13 +149,11 @@ class RecorderNode(TactileNode[RecorderConfig]):
         """
         now = time.monotonic()
         if now >= self._next_discovery:
-            if self._discover():
-                self._changed_at = now
-            is_calm = now - self._changed_at >= _CALM_AFTER
-            self._next_discovery = now + (_CALM_PERIOD if is_calm else _DISCOVERY_PERIOD)
+            self._discover()
+            self._next_discovery = now + _DISCOVERY_PERIOD
         count = self._drain()
         if now >= self._next_flush:
-            self._next_flush = now + self.config.flush_period
+            self._next_flush = now + _FLUSH_PERIOD
             self._writer.flush()
         self._writer.send()
         return count
@@ -195,32 +190,28 @@ class RecorderNode(TactileNode[RecorderConfig]):
 
         publisher.add_tap(note)
 
-    def _discover(self) -> bool:
-        """Look for topics and publishers; return whether some came or went."""
-        changed = False
+    def _discover(self) -> None:
+        """Look for topics and publishers that have come or gone."""
         for name, types in self.get_topic_names_and_types():
             topic = self._topics.get(name)
             if topic is None:
-                changed |= self._consider(name, types[0])
+                self._consider(name, types[0])
             elif topic.adapt(self._write):
                 self._announce(topic)
-                changed = True
-        return changed
 
-    def _consider(self, name: str, type_name: str) -> bool:
-        """Subscribe to a new topic if it is wanted and its type is known; return whether it is."""
+    def _consider(self, name: str, type_name: str) -> None:
+        """Subscribe to a new topic if it is wanted and its type is known."""
         if name in self._refused or name in self._tapped or name not in self._selection:
-            return False
+            return
         try:
             message_definition(type_name)
             topic = RawTopic(self, name, type_name, _QUEUE_DEPTH)
         except BagError as error:
             self._refused.add(name)
             self.get_logger().error(f"{name} is not recorded: {error}")
-            return False
+            return
         self._topics[name] = topic
         self._announce(topic)
-        return True
 
     def _announce(self, topic: RawTopic) -> None:
         """Open a topic's channel as soon as its publishers are known."""
@@ -236,5 +227,4 @@ class RecorderNode(TactileNode[RecorderConfig]):
 
 def main(args: Sequence[str] | None = None) -> int:
     """Run the recorder until SIGINT or SIGTERM and return the exit code."""
-    use_batch_scheduling()  # its queues are long; the hand's are not
     return run_node(RecorderNode, args)

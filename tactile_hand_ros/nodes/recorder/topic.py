@@ -3,8 +3,8 @@
 
 from __future__ import annotations
 
+import math
 import time
-from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 
 from rclpy.exceptions import InvalidHandle
@@ -13,7 +13,6 @@ from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPo
 from rclpy.subscription import Subscription
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 
-from tactile_hand_ros import names
 from tactile_hand_ros.ros.endpoints import message_class, subscribe_directly, taken
 
 Sink = Callable[["RawTopic", bytes, int, int], None]  # topic, CDR, received ns, sent ns
@@ -56,6 +55,7 @@ class RawTopic:
     Attributes:
         name: Full name of the topic.
         type_name: Full name of its type.
+        publishers: Number of publishers at the last look.
         received: Number of messages taken.
         channel: Number of the topic's channel in the bag, None until it has one.
     """
@@ -79,25 +79,21 @@ class RawTopic:
         self._class = message_class(type_name)
         self._node = node
         publishers = publishers_of(node, name)
+        self.publishers = len(publishers)
         self._qos = adapted_qos(publishers, depth)
         self._subscription = self._subscribe()
-        self._present = self._known = {bytes(each.endpoint_gid) for each in publishers}
-        self._settled = time.monotonic() + _DISCOVERY
-        self._sequence = SequenceTracker(len(publishers), self._look)
-
-    @property
-    def publishers(self) -> int:
-        """Number of publishers at the last look."""
-        return len(self._present)
+        self._losses = LossCounter(lambda: _ids(publishers_of(node, name)), self._forgiving_until)
 
     @property
     def lost(self) -> int:
-        """Number of messages that never came.
+        """Number of messages that never came."""
+        return self._losses.count
 
-        Counted are those of publishers that are older than the subscription from the first received
-        one on, and all of publishers that appeared later.
-        """
-        return self._sequence.lost
+    @property
+    def _forgiving_until(self) -> float:
+        """Of a latched topic a late subscription gets the last messages only, by design."""
+        is_latched = self._qos.durability == DurabilityPolicy.TRANSIENT_LOCAL
+        return math.inf if is_latched else time.monotonic() + _DISCOVERY
 
     def drain(self, sink: Sink) -> int:
         """Hand all waiting messages to `sink` and return their number."""
@@ -115,44 +111,23 @@ class RawTopic:
         its first message: later its publishers' histories would arrive a second time.
 
         Returns:
-            Whether a publisher came or went.
+            Whether the number of publishers has changed.
         """
-        count = self._node.count_publishers(self.name)
-        if count == self.publishers == self._subscription.get_publisher_count():
+        before, count = self.publishers, self._node.count_publishers(self.name)
+        if count == before == self._subscription.get_publisher_count():
             return False
-        before = self._present
         publishers = publishers_of(self._node, self.name)
-        self._count_publishers(publishers)
+        self.publishers = len(publishers)
         qos = adapted_qos(publishers, self._qos.depth)
         upgrade = qos.durability == DurabilityPolicy.TRANSIENT_LOCAL != self._qos.durability
         if publishers and (_is_weaker(qos, self._qos) or (upgrade and not self.received)):
             old, self._qos = self._subscription, qos
             new = self._subscribe()
+            self._losses.forgiving_until = max(self._losses.forgiving_until, self._forgiving_until)
             self.drain(sink)
             self._subscription = new
             self._node.destroy_subscription(old)
-        return self._present != before
-
-    def _look(self) -> None:
-        """Find publishers that appeared since the last look."""
-        if publishers := publishers_of(self._node, self.name):
-            self._count_publishers(publishers)
-
-    def _count_publishers(self, publishers: Sequence[TopicEndpointInfo]) -> None:
-        """Separate publishers that may be older than the subscription and those that are not.
-
-        Of a latched topic a late subscription gets the last messages only, by design.
-        """
-        self._present = {bytes(publisher.endpoint_gid) for publisher in publishers}
-        new = len(self._present - self._known)
-        self._known = self._known | self._present
-        is_latched = self._qos.durability == DurabilityPolicy.TRANSIENT_LOCAL
-        # What a node publishes on its own topics while it starts is no loss of the recording.
-        is_free = is_latched or self.name in names.OF_ALL_NODES
-        if is_free or time.monotonic() < self._settled:
-            self._sequence.change(self.publishers, older=new)
-        else:
-            self._sequence.change(self.publishers, younger=new)
+        return self.publishers != before
 
     def _subscribe(self) -> Subscription:
         return subscribe_directly(self._node, self._class, self.name, self._qos)
@@ -163,9 +138,54 @@ class RawTopic:
             self.received += 1
             number = info["publication_sequence_number"]
             if number is not None:
-                self._sequence.see(number)
+                self._losses.note(number)
             received = info["received_timestamp"] or time.time_ns()
             yield data, received, info["source_timestamp"] or received
+
+
+class LossCounter:
+    """Counts the messages of a topic that never came.
+
+    The middleware numbers the messages of each publisher 1, 2, 3, ... but a message does not state
+    whose number it carries. Losses are therefore counted while a topic has one publisher, as every
+    topic of a hand has: gaps, and what a publisher that appeared after the subscription had sent
+    before the two matched.
+
+    Attributes:
+        count: Number of messages that never came.
+        forgiving_until: Until then, a publisher may be older than the subscription [s, monotonic].
+    """
+
+    def __init__(self, look: Callable[[], set[bytes]], forgiving_until: float) -> None:
+        """Start with a subscription.
+
+        Args:
+            look: Returns the ids of the publishers that there are now.
+            forgiving_until: See above.
+        """
+        self.count, self.forgiving_until = 0, forgiving_until
+        self._look, self._older = look, look()
+        self._sender, self._next = b"", 1
+
+    def note(self, number: int) -> None:
+        """Note the sequence number of a message, from 1."""
+        expected, self._next = self._next, number + 1
+        if number == expected and self._sender:
+            return
+        present = self._look()
+        if len(present) != 1:  # the number may be that of any of them
+            self._sender, self._older = b"", self._older | present
+            return
+        (sender,) = present
+        if sender == self._sender:
+            self.count += number - expected
+        elif sender not in self._older and time.monotonic() >= self.forgiving_until:
+            self.count += number - 1
+        self._sender = sender
+
+
+def _ids(publishers: Sequence[TopicEndpointInfo]) -> set[bytes]:
+    return {bytes(publisher.endpoint_gid) for publisher in publishers}
 
 
 def _is_weaker(new: QoSProfile, old: QoSProfile) -> bool:
@@ -174,76 +194,3 @@ def _is_weaker(new: QoSProfile, old: QoSProfile) -> bool:
         new.reliability == ReliabilityPolicy.BEST_EFFORT != old.reliability
         or new.durability == DurabilityPolicy.VOLATILE != old.durability
     )
-
-
-class SequenceTracker:
-    """Counts the gaps in the sequence numbers of one topic.
-
-    Each publisher numbers its messages 1, 2, 3, ... but a message does not state whose number it
-    carries. A number that continues any known publisher belongs to it; number 1 is a new
-    publisher; any other number is a gap in the nearest publisher below it. For one publisher the
-    count is exact; for several that lose messages together it is an estimate.
-
-    A publisher that may be older than the subscription can start with any number. One that appears
-    later starts with 1: what it publishes before it finds the subscription is lost.
-
-    Attributes:
-        lost: Number of messages that never came.
-    """
-
-    def __init__(self, publishers: int = 1, look: Callable[[], None] = lambda: None) -> None:
-        """Start before the first message.
-
-        Args:
-            publishers: How many publishers are older than the subscription.
-            look: Called before a number out of order is judged; may call `change`.
-        """
-        self.lost = 0
-        self._look = look
-        self._older = publishers  # of which nothing was received yet
-        self._younger = 0
-        self._next: Counter[int] = Counter()
-
-    def change(self, present: int, older: int = 0, younger: int = 0) -> None:
-        """Account for publishers that came or went.
-
-        Args:
-            present: How many there are now.
-            older: How many were discovered that may be older than the subscription.
-            younger: How many were discovered that are not.
-        """
-        self._older = min(self._older + older, present)
-        self._younger = min(self._younger + younger, present)
-
-    def see(self, number: int) -> None:
-        """Account for one received message.
-
-        Args:
-            number: Sequence number, from 1.
-        """
-        if not self._next[number]:
-            self._look()
-            self._open(number)
-        self._take(number)
-        self._next[number + 1] += 1
-
-    def _open(self, number: int) -> None:
-        """Make `number` an expected one: of a new publisher, or behind a gap."""
-        del self._next[number]
-        below = [expected for expected in self._next if expected < number]
-        if self._older:
-            self._older -= 1
-        elif self._younger:
-            self._younger -= 1
-            self.lost += number - 1
-        elif number > 1 and below:
-            nearest = max(below)
-            self.lost += number - nearest
-            self._take(nearest)
-        self._next[number] += 1
-
-    def _take(self, number: int) -> None:
-        """Remove one publisher of which `number` was expected."""
-        self._next[number] -= 1
-        if not self._next[number]:
-            del self._next[number]

@@ -385,12 +385,6 @@ def receive(node: Any, message: PoseStamped) -> None:
     found.callback(serialize_message(message))
 
 
-@pytest.mark.parametrize(("law", "mode"), [("kawamura", "drive"), ("optimal", "hold")])
-def test_only_the_optimal_law_needs_an_optimal_force(here: Process, law: str, mode: str) -> None:
-    node = here.make(ManipulationControllerNode, **{"law.name": law})
-    assert tick(node, 0, shape=np.nan * FRACTIONS).mode.value == mode
-
-
 def test_ticks_that_start_over_forget_all_poses_but_those_sent_meanwhile(here: Process) -> None:
     node = here.make(ManipulationControllerNode)
     here.receive(PoseStamped, names.ACCEPTED_POSE)

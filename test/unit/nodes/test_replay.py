@@ -12,22 +12,21 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
-from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.serialization import serialize_message
 from std_msgs.msg import Int64
-from std_srvs.srv import SetBool
 
 from bench.processes import isolated_domain
 from tactile_hand_ros.bag.metadata import offered_qos
 from tactile_hand_ros.bag.reader import open_bag
 from tactile_hand_ros.bag.schema import MessageDefinition
+from tactile_hand_ros.bag.selection import TopicSelection
 from tactile_hand_ros.bag.writer import BagWriter
 from tactile_hand_ros.cli.app import main
 from tactile_hand_ros.errors import BagError
 from tactile_hand_ros.nodes import replay as replay_module
-from tactile_hand_ros.nodes.replay import Replay, replaying
+from tactile_hand_ros.nodes.replay import Replay
 from tactile_hand_ros.ros.middleware import ros_context
 
 TYPE, BEGIN, STEP = "std_msgs/msg/Int64", 10**18, 10_000_000
@@ -75,11 +74,12 @@ def play(bag: Path) -> Iterator[Callable[..., Player]]:
     with isolated_domain() as domain, ros_context(domain=domain) as context, ExitStack() as stack:
         node = Node("replay", context=context, start_parameter_services=False)
         stack.callback(node.destroy_node)
-        executor = SingleThreadedExecutor(context=context)
-        executor.add_node(node)
 
-        def _play(path: Path = bag, **options: Any) -> Player:
-            return Player(Replay(node, stack.enter_context(open_bag(path)), **options))
+        def _play(
+            path: Path = bag, topics: Any = (".*",), exclude: Any = (), name: str = ""
+        ) -> Player:
+            reader = stack.enter_context(open_bag(path))
+            return Player(Replay(node, reader, TopicSelection(topics, exclude), name))
 
         yield _play
 
@@ -88,32 +88,23 @@ def play(bag: Path) -> Iterator[Callable[..., Player]]:
 def test_messages_come_in_order_and_not_before_their_time(
     play: Callable[..., Player], rate: float
 ) -> None:
-    player, seen = play(rate=rate), list[float]()
-    began = time.monotonic()
-    player.replay.run(lambda replay: seen.append(replay.position))
+    player, seen = play(), list[float]()
+    replay, began = player.replay, time.monotonic()
+    replay.run(rate, lambda: seen.append(replay.position))
     assert player.values("/number") == [0, 1, 2, 3, 4] and player.values("/robot") == [7, 8]
     for topic, value, at in player.sent:
         due = began + 1e-9 * STEP * value / rate if topic == "/number" else began
         assert at >= due - 1e-4
-    assert player.replay.messages == 8 and len(player.values("/clock")) == 1
-    assert seen == sorted(seen) and seen[-1] == player.replay.duration == pytest.approx(0.04)
-
-
-@pytest.mark.parametrize(("offset", "numbers"), [(0.02, [2, 3, 4]), (0.021, [3, 4]), (0.04, [4])])
-def test_from_later_on_a_latched_message_is_that_of_before(
-    play: Callable[..., Player], offset: float, numbers: list[int]
-) -> None:
-    player = play(start_offset=offset, rate=100.0)
-    player.replay.run()
-    assert player.values("/robot") == [8] and player.values("/number") == numbers
-    assert player.values("/clock") == []
+    assert replay.messages == 8 and len(player.values("/clock")) == 1
+    assert seen == sorted(seen) and seen[-1] == pytest.approx(replay.duration)
+    assert replay.duration == pytest.approx(0.04)
 
 
 @pytest.mark.parametrize(
     ("options", "topics"),
     [
         ({}, {"/robot": 2, "/clock": 1000, "/number": 1000}),
-        ({"namespace": "/left", "topics": ("/n.*",)}, {"/left/number": 1000}),
+        ({"name": "/left", "topics": ("/n.*",)}, {"/left/number": 1000}),
         ({"exclude": ("/(robot|clock)",)}, {"/number": 1000}),
     ],
 )
@@ -128,19 +119,17 @@ def test_topics_are_chosen_and_renamed(
 
 
 @pytest.mark.parametrize(
-    ("options", "words"),
+    ("topics", "words"),
     [
-        ({"topics": ("/none",)}, "can be published: --topics and --exclude leave none"),
-        ({"topics": ("/gone",)}, "can be published: The message type"),
-        ({"start_offset": -1e-9}, "expected 0 to 0.04 s"),
-        ({"start_offset": 0.0400001}, "expected 0 to 0.04 s"),
+        (("/none",), "can be published: --topics and --exclude leave none"),
+        (("/gone",), "can be published: The message type"),
     ],
 )
 def test_what_cannot_be_replayed_is_refused(
-    play: Callable[..., Player], options: dict[str, Any], words: str
+    play: Callable[..., Player], topics: tuple[str], words: str
 ) -> None:
     with pytest.raises(BagError, match=re.escape(words)):
-        play(**options)
+        play(topics=topics)
 
 
 def test_a_bag_without_messages_cannot_be_replayed(
@@ -150,34 +139,6 @@ def test_a_bag_without_messages_cannot_be_replayed(
         writer.add_channel("/number", TYPE)
     with pytest.raises(BagError, match="it has no message"):
         play(tmp_path / "empty")
-
-
-def test_time_stands_still_in_a_pause(play: Callable[..., Player]) -> None:
-    player, began = play(paused=True, rate=100.0), time.monotonic()
-
-    def watch(replay: Replay) -> None:
-        if time.monotonic() - began > 0.12 and replay.paused:
-            assert player.sent == [] and replay.position == 0.0
-            replay.pause(False)
-
-    player.replay.run(watch)
-    assert player.sent[0][2] - began >= 0.12 and len(player.sent) == 8
-
-
-def test_the_service_continues_a_replay_whose_node_then_ends(bag: Path) -> None:
-    with isolated_domain() as domain, ros_context(domain=domain) as context:
-        user = Node("user", context=context, start_parameter_services=False)
-        client = user.create_client(SetBool, "/replay/pause")
-
-        def watch(replay: Replay) -> None:
-            if replay.paused and client.service_is_ready():
-                client.call_async(SetBool.Request(data=False))
-
-        with replaying(bag, paused=True) as player:
-            player.run(watch)
-            assert player.messages == 8 and player.node.get_name() == "replay"
-        assert not player.node.context.ok()
-        user.destroy_node()
 
 
 @pytest.mark.parametrize(
@@ -207,7 +168,6 @@ def test_publishers_offer_what_all_recorded_ones_offered(
         ("--rate=0", "expected a number above 0"),
         ("--exclude=(", "not a valid regular expression"),
         ("--law=contact", "expected --recompute too"),
-        ("--start-offset=nan", "offset"),
         ("--namespace=1x", "the namespace is '1x'"),
     ],
 )
@@ -215,6 +175,6 @@ def test_what_cannot_be_replayed_is_refused_in_a_sentence(
     bag: Path, capsys: pytest.CaptureFixture[str], argument: str, text: str
 ) -> None:
     with isolated_domain():
-        assert main(["replay", str(bag), "--start-paused", argument]) == 2
+        assert main(["replay", str(bag), argument]) == 2
     *usage, said = capsys.readouterr().err.splitlines()
     assert text in said and len(usage) in (0, 3)

@@ -18,9 +18,8 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile, QoSReliabilityPolicy
 from rclpy.serialization import deserialize_message
-from sensor_msgs.msg import JointState
 from std_msgs.msg import String
-from support.messages import contacts_message, force_message, joint_message, pose_message
+from support.messages import contacts_message, force_message, pose_message
 from visualization_msgs.msg import Marker, MarkerArray
 
 from bench.processes import isolated_domain
@@ -39,13 +38,13 @@ TURN = np.array([0.1, 0.2, 0.3, np.sqrt(0.86)])
 FORCES = np.array([[1.0, 4.0, -2.0], [0.5, -1.0, 0.25], [0.0, 0.0, 0.0], [3.0, 8.0, 6.0]])
 
 
-def drawn(forces: Any, friction: Any) -> dict[str, dict[int, Marker]]:
+def drawn(forces: Any) -> dict[str, dict[int, Marker]]:
     """Return the markers of contacts in a row, by namespace and finger."""
     places = [np.array([i, i + 0.25, i + 0.5]) for i in range(len(forces))]
     contacts = [Frame(f"c{i}", place, TURN) for i, place in enumerate(places)]
     found: dict[str, dict[int, Marker]] = {}
     with np.errstate(invalid="ignore"):
-        for marker in contact_markers(contacts, np.array(forces), np.array(friction)):
+        for marker in contact_markers(contacts, np.array(forces)):
             found.setdefault(marker.ns, {})[marker.id] = marker
     return found
 
@@ -64,7 +63,7 @@ def at(number: int) -> list[float]:
 
 
 def test_a_force_is_an_arrow_and_the_strongest_is_twelve_centimetres_long() -> None:
-    arrows = drawn([*FORCES, FORCES[0]], np.full(5, np.nan))["forces"]
+    arrows = drawn([*FORCES, FORCES[0]])["forces"]
     assert sorted(arrows) == [0, 1, 3, 4]  # where nothing is felt there is none
     for i, arrow in arrows.items():
         start, end = points(arrow)
@@ -73,25 +72,9 @@ def test_a_force_is_an_arrow_and_the_strongest_is_twelve_centimetres_long() -> N
         assert arrow.type == Marker.ARROW and place(arrow) == at(i)
 
 
-def test_a_cone_is_as_high_as_its_force_and_no_wider_than_can_be_seen() -> None:
-    """None for a force that pulls, and none where friction is not known."""
-    cones = drawn([*FORCES, FORCES[0]], [0.5, 0.5, 0.5, 9.0, np.nan])["cones"]
-    assert sorted(cones) == [0, 3]
-    for i, friction in ((0, 0.5), (3, 2.5)):
-        height = FORCES[i, 1] * 0.12 / np.sqrt(109.0)
-        corners = points(cones[i]).reshape(-1, 3, 3)
-        assert len(corners) == 24 and not corners[:, 0].any()
-        angles = np.linspace(0.0, 2.0 * np.pi, 25)
-        x, z = friction * height * np.cos(angles), friction * height * np.sin(angles)
-        rim = np.stack([x, np.full(25, height), z], axis=1)
-        np.testing.assert_allclose(corners[:, 1], rim[:-1], atol=1e-12)
-        np.testing.assert_allclose(corners[:, 2], rim[1:], atol=1e-12)
-        assert cones[i].type == Marker.TRIANGLE_LIST and place(cones[i]) == at(i)
-
-
 @pytest.mark.parametrize("force", [[np.nan, 1.0, 1.0], [0.0, 0.0, 0.0], [1.0, np.inf, 0.0]])
 def test_a_force_that_is_not_known_leaves_the_ball(force: list[float]) -> None:
-    assert set(drawn([force], [0.5])) == {"contacts"}
+    assert set(drawn([force])) == {"contacts"}
 
 
 STRAIGHT = [0.0, 0.0, 0.0, 1.0]
@@ -100,7 +83,6 @@ TOUCH = np.array([[0.1, 0.0, 0.4], [0.0, 0.2, 0.4], [np.nan] * 3])
 TURNS = np.array([STRAIGHT, STRAIGHT, [np.nan] * 4])
 KINDS = {
     "tactile/contacts": PoseArray,
-    "grip_state": JointState,
     "accepted/desired_pose": PoseStamped,
     "ground_truth/object_pose": PoseStamped,
     **{f"tactile/{finger}/wrench": WrenchStamped for finger in FINGERS},
@@ -158,8 +140,6 @@ def test_a_picture_holds_the_newest_of_everything(stage: Stage) -> None:
     assert set(stage.show()) == {"all", "object", "goal", "contacts"}
     stage.send("tactile/finger_1/wrench", force_message([0.0, 3.0, 0.0], 5, "finger_1_contact"))
     stage.send("tactile/finger_2/wrench", force_message([0.0, 6.0, 0.0], 5, "finger_2_contact"))
-    mu = joint_message(["finger_2", "other"], 5, position=[0.5, 0.7])
-    stage.send("grip_state", mu)
     shown = stage.show()
     assert place(shown["object"][0])[:3] == [2.0, 0.0, 0.0] and place(shown["goal"][0])[:3] == [
         2.0,
@@ -168,8 +148,6 @@ def test_a_picture_holds_the_newest_of_everything(stage: Stage) -> None:
     ]
     assert [place(ball)[:3] for ball in shown["contacts"]] == TOUCH[:2].tolist()
     assert [arrow.points[1].y for arrow in shown["forces"]] == pytest.approx([0.06, 0.12])
-    (cone,) = shown["cones"]
-    assert cone.id == 1 and cone.points[1].x == pytest.approx(0.06)
     assert {m.header.frame_id for each in shown.values() for m in each} == {"left/palm"}
     assert stage.show() == shown
 
@@ -204,11 +182,11 @@ def test_a_best_effort_publisher_is_shown_and_wakes_nobody(stage: Stage) -> None
 
 
 def test_the_reliability_of_what_is_shown_can_be_overridden() -> None:
-    name = "qos_overrides./grip_state.subscription.reliability"
+    name = "qos_overrides./tactile/contacts.subscription.reliability"
     with isolated_domain() as domain, ros_context(domain=domain) as context:
         made = ViewerNode(context=context, parameter_overrides=[Parameter(name, value="reliable")])
         profiles = {each.topic_name: each.qos_profile for each in made.subscriptions}
-        assert profiles["/grip_state"].reliability.name == "RELIABLE"
+        assert profiles["/tactile/contacts"].reliability.name == "RELIABLE"
         made.destroy_node()
 
 

@@ -181,9 +181,9 @@ def test_ros_arguments_are_taken_out() -> None:
 def test_the_executable_refuses_in_one_sentence(capsys: pytest.CaptureFixture[str]) -> None:
     before = {n: signal.getsignal(n) for n in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
     try:
-        assert main(["orchestrator", "--open", "--no-report"]) == 2
+        assert main(["orchestrator", "papr"]) == 2
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
     printed = capsys.readouterr()
-    assert printed.err.startswith("orchestrator: --open") and printed.err.count("\n") == 1
+    assert "did you mean 'paper'" in printed.err and printed.err.count("\n") == 1

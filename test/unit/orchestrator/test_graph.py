@@ -12,7 +12,7 @@ from std_msgs.msg import Empty
 
 from bench.processes import isolated_domain
 from tactile_hand_ros import names
-from tactile_hand_ros.orchestrator.graph import DuplicateNodeError, missing_endpoints
+from tactile_hand_ros.orchestrator.graph import missing_endpoints
 from tactile_hand_ros.ros.middleware import ros_context
 from tactile_hand_ros.ros.processes import wait_until
 
@@ -112,12 +112,3 @@ def test_a_subscriber_from_outside_must_be_matched_too(node: Node, context: Cont
         (PLANT, f"plant has matched 0 of 1 subscribers of {topic}")
     ]
     viewer.destroy_node()
-
-
-def test_a_second_node_of_the_same_name_is_an_error(node: Node, context: Context) -> None:
-    twice = [Node(PLANT, context=context, namespace=HAND) for _ in range(2)]
-    wait_until(lambda: node.get_node_names().count(PLANT) == 2)
-    with pytest.raises(DuplicateNodeError, match="'/left/plant' already runs"):
-        missing(node, all_matched())
-    for each in twice:
-        each.destroy_node()

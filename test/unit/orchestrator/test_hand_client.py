@@ -233,21 +233,6 @@ def half(context: Context) -> Iterator[Node]:
     node.destroy_node()
 
 
-@pytest.mark.parametrize("missing", ["command", "accepted", "rejected"])
-def test_a_grasp_force_is_sent_only_where_it_is_taken_and_answered(
-    half: Node, context: Context, missing: str
-) -> None:
-    if missing != "command":
-        half.create_subscription(Float64, names.USER_GRASP_FORCE, id, qos.user_qos())
-    if missing != "accepted":
-        half.create_publisher(WrenchStamped, names.ACCEPTED_FORCE, qos.user_qos())
-    if missing != "rejected":
-        half.create_publisher(DiagnosticArray, names.rejected(names.REGULATOR), qos.user_qos())
-    with graph_node(context, "user", "/half") as node:
-        with pytest.raises(SteeringError, match="no hand is"):
-            HandClient(node, 0.1).grasp_force(1.0)
-
-
 def test_nothing_is_reset_before_the_controller_is_there_and_the_sender_of_joints_is_known(
     half: Node, context: Context
 ) -> None:

@@ -6,7 +6,6 @@ from __future__ import annotations
 import io
 import json
 import math
-import webbrowser
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -22,7 +21,6 @@ from tactile_hand_ros.orchestrator.results import (
     RunVerdict,
     in_words,
     judge,
-    open_report,
     read_results,
     real_time_counts,
     report_line,
@@ -242,20 +240,3 @@ def test_a_report_that_fails_does_not_cost_the_run(tmp_path: Path) -> None:
     (tmp_path / "report.html").mkdir()
     line = report_line(Run(tmp_path))
     assert line.startswith("the report was not written: ") and "\n" not in line
-
-
-@pytest.mark.parametrize(
-    ("exists", "opens", "line"),
-    [
-        (False, True, "there is no report to open"),
-        (True, True, "opened file:///"),
-        (True, False, "no browser was found here; open file:///"),
-    ],
-)
-def test_a_report_is_opened_where_there_is_one(
-    exists: bool, opens: bool, line: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(webbrowser, "open", lambda _: opens)
-    if exists:
-        (tmp_path / "report.html").touch()
-    assert open_report(RunDirectory(tmp_path)).startswith(line)

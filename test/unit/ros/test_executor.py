@@ -12,9 +12,7 @@ from typing import Any
 
 import psutil
 import pytest
-from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
-from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.serialization import serialize_message
 from std_msgs.msg import Float64, Int8
 from std_srvs.srv import Trigger
@@ -152,15 +150,6 @@ def test_entities_may_come_and_go_while_spinning(nodes: list[Any]) -> None:
     publish(there, "x", *(Float64(data=float(n)) for n in range(3)))
     spin_until(nodes, lambda: 3.0 in got)
     assert got == [0.0, 3.0]
-
-
-def test_quality_of_service_events_are_served(nodes: list[Any]) -> None:
-    events: list[Any] = []
-    callbacks = SubscriptionEventCallbacks(incompatible_qos=events.append)
-    here, best_effort = nodes[0], QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
-    here.create_subscription(Float64, "x", print, QoSProfile(depth=1), event_callbacks=callbacks)
-    nodes[1].create_publisher(Float64, "x", best_effort)
-    spin_until(nodes, lambda: events)
 
 
 def test_spin_returns_when_the_context_is_shut_down(nodes: list[Any]) -> None:

@@ -8,12 +8,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from geometry_msgs.msg import PoseArray, WrenchStamped
 from numpy.typing import NDArray
-from sensor_msgs.msg import JointState
 
 from tactile_hand_ros import names
-from tactile_hand_ros.errors import MessageError, TactileHandError
+from tactile_hand_ros.errors import TactileHandError
 from tactile_hand_ros.hand.hand import Hand
 from tactile_hand_ros.ros import streams
 from tactile_hand_ros.ros.diagnostics import ERROR, Diagnostics
@@ -175,48 +173,6 @@ def test_a_tick_has_everything_in_its_place(joints_first: bool) -> None:
     assert grasp_force == 14.0
     np.testing.assert_array_equal(optimal, [[0.1, 0.2, 0.3], [0.1, 1.2, 0.3], [0.1, 2.2, 0.3]])
     np.testing.assert_array_equal(forces, [[1, 2, 3], [1, 2, 4], [1, 2, 5]])
-
-
-def test_only_what_drivers_publish_may_have_another_qos() -> None:
-    node = Ear()
-    expected = {names.JOINT_STATES: (JointState, True), names.CONTACTS: (PoseArray, True)}
-    expected[names.GRASP_FORCE] = WrenchStamped, False
-    for name in FINGERS:
-        expected[names.optimal_force(name)] = WrenchStamped, False
-        expected[names.wrench(name)] = WrenchStamped, True
-    assert node.subscribed == expected
-    for stream, kind in (
-        (streams.true_contacts(3), PoseArray),
-        (streams.true_sliding(FINGERS), JointState),
-        (streams.true_forces(FINGERS), WrenchStamped),
-        (streams.grip_margin(FINGERS), JointState),
-        (streams.loads(FINGERS), WrenchStamped),
-    ):
-        assert (stream.message_type, stream.from_driver) == (kind, False)
-
-
-def test_an_optimum_without_an_answer_is_nan_and_a_measured_force_never() -> None:
-    no_answer = np.full(3, np.nan)
-    for stream, topic, allowed in (
-        (streams.optimal_forces(FINGERS), names.optimal_force(FINGERS[1]), True),
-        (streams.loads(FINGERS), names.load(FINGERS[1]), True),
-        (streams.forces(FINGERS), names.wrench(FINGERS[1]), False),
-        (streams.true_forces(FINGERS), names.true_wrench(FINGERS[1]), False),
-    ):
-        codec = WrenchCodec(names.contact_frame(FINGERS[1]), nan_allowed=True)
-        data = codec.encode(no_answer, 5)
-        if allowed:
-            assert np.isnan(stream.decoders[topic](data)[1]).all()
-        else:
-            with pytest.raises(MessageError):
-                stream.decoders[topic](data)
-
-
-def test_a_grasp_force_may_have_any_frame_and_a_force_only_that_of_its_contact() -> None:
-    data = WrenchCodec("elsewhere").encode((1.0, 2.0, 3.0), 5)
-    assert streams.grasp_force().decoders[names.GRASP_FORCE](data) == (5, 2.0)
-    with pytest.raises(MessageError, match="elsewhere"):
-        streams.forces(FINGERS).decoders[names.wrench(FINGERS[0])](data)
 
 
 def test_a_tick_that_was_answered_is_answered_alike_when_its_joints_come_again(ear: Ear) -> None:

@@ -7,84 +7,22 @@ import enum
 import math
 import sys
 from collections.abc import Iterator
-from typing import Any, Literal
+from typing import Literal
 
 import pytest
 import rclpy
-import yaml
 from rclpy.parameter import Parameter
 
 from bench.processes import isolated_domain
-from tactile_hand_ros.config.model import Config, leaves, param
+from tactile_hand_ros.config.model import Config, param
 from tactile_hand_ros.errors import ConfigurationError
 from tactile_hand_ros.ros.middleware import ros_context
 from tactile_hand_ros.ros.parameters import (
     ConfigParameters,
-    descriptor,
     to_params_yaml,
 )
 
 Type = Parameter.Type
-
-
-class Part(Config):
-    kind: Literal["a", "b"] = param("a", "Kind")
-
-
-class Fields(Config):
-    free: float = param(1.0, "Free")
-    above: float = param(1.0, "Above", gt=0.5)
-    below: float = param(1.0, "Below", unit="m", lt=2.5)
-    between: float = param(1.0, "", unit="N", ge=-1.5, le=1.5)
-    many: int = param(3, "Many")
-    more: int = param(3, "More", gt=2)
-    fewer: int = param(3, "Fewer", lt=8)
-    some: int = param(3, "Some", ge=1, le=9)
-    words: list[str] = param(["1", "on"], "Words")
-    parts: list[Part] = param([Part()], "Parts")
-    part: Part = Part()
-
-
-FIELDS = leaves(Fields)
-
-
-@pytest.mark.parametrize(
-    ("name", "expected"),
-    [
-        ("free", []),
-        ("above", [(0.5, math.inf)]),
-        ("below", [(-math.inf, 2.5)]),
-        ("between", [(-1.5, 1.5)]),
-        ("many", []),
-        ("more", [(3, 2**63 - 1)]),
-        ("fewer", [(-(2**63), 7)]),
-        ("some", [(1, 9)]),
-    ],
-)
-def test_a_range_is_closed_and_one_of_integers_excludes_an_open_end(
-    name: str, expected: list[Any]
-) -> None:
-    shown = descriptor(FIELDS[name])
-    kinds = shown.floating_point_range, shown.integer_range
-    used, other = kinds if FIELDS[name].annotation is float else kinds[::-1]
-    assert [(each.from_value, each.to_value) for each in used] == expected and not list(other)
-
-
-def test_a_description_has_a_unit_where_there_is_one() -> None:
-    texts = {name: descriptor(FIELDS[name]).description for name in ("free", "below", "between")}
-    assert texts == {"free": "Free", "below": "Below [m]", "between": " [N]"}
-    assert [descriptor(FIELDS["free"], read_only=each).read_only for each in (False, True)] == [
-        False,
-        True,
-    ]
-
-
-def test_a_file_keeps_what_looks_like_a_number_a_text() -> None:
-    text = to_params_yaml(Fields(), "node")
-    parameters = yaml.safe_load(text)["/**/node"]["ros__parameters"]
-    assert parameters["words"] == ["1", "on"] and parameters["part.kind"] == "a"
-    long = Fields(words=["a b " * 300])
-    assert max(map(len, to_params_yaml(long, "node").splitlines())) > 1200  # rcl joins no lines
 
 
 class Law(str, enum.Enum):
@@ -145,25 +83,6 @@ def declare(domain, monkeypatch):
 
 def set_one(node, name, value):
     return node.set_parameters([Parameter(name, value=value)])[0]
-
-
-def test_defaults_are_declared_with_their_types(declare):
-    node, parameters = declare()
-    assert parameters.config == Example()
-    for name, kind, value in [
-        ("body.mass", Parameter.Type.DOUBLE, 0.1),
-        ("law", Parameter.Type.STRING, "proposed"),
-        ("steps", Parameter.Type.INTEGER, 2),
-        ("noisy", Parameter.Type.BOOL, False),
-        ("weights", Parameter.Type.DOUBLE_ARRAY, [10.0, 1.0, 10.0]),
-        ("topics", Parameter.Type.STRING_ARRAY, []),
-        ("counts", Parameter.Type.INTEGER_ARRAY, []),
-        ("pushes", Parameter.Type.STRING_ARRAY, []),
-    ]:
-        parameter = node.get_parameter(name)
-        assert parameter.type_ is kind, name
-        assert list(parameter.value) == value if kind.name.endswith("ARRAY") else True
-        assert kind.name.endswith("ARRAY") or parameter.value == value
 
 
 @pytest.mark.parametrize(
@@ -247,8 +166,8 @@ def test_a_live_change_is_taken_and_announced(declare):
 @pytest.mark.parametrize(
     ("name", "value", "words"),
     [
-        ("k_p", 11.0, "out of range"),
-        ("k_p", -1.0, "out of range"),
+        ("k_p", 11.0, "less than or equal to 10"),
+        ("k_p", -1.0, "greater than or equal to 0"),
         ("k_p", math.nan, ""),
         ("k_max", math.inf, "finite"),
         ("k_p", "4", "Wrong parameter type"),
@@ -286,26 +205,16 @@ def test_several_changes_are_taken_or_refused_together(declare):
 
 FOREIGN = """
 /**:
-  ros__parameters:
-    k_p: 1.5
-    arm_gain: 3.0
-    qos_overrides: {/arm_states: {subscription: {depth: 3}}}
-/**/%s:
-  ros__parameters: {arm_gain: 2.0, k_max: 9.0}
+  ros__parameters: {k_p: 1.5, arm_gain: 3.0}
+/**/arm:
+  ros__parameters: {k_max: 9.0}
 """
 
 
-def test_a_file_for_all_nodes_may_have_parameters_of_others(declare, tmp_path, capfd):
+def test_a_file_may_have_parameters_of_other_nodes(declare, tmp_path, capfd):
     path = tmp_path / "shared.yaml"
-    path.write_text(FOREIGN % "arm")
+    path.write_text(FOREIGN)
     node, parameters = declare("--params-file", str(path))
     assert (parameters.config.k_p, parameters.config.k_max) == (1.5, 5.0)
-    assert "ignored parameter 'arm_gain'" in capfd.readouterr().err
+    assert "ignored the unknown parameter 'arm_gain'" in capfd.readouterr().err
     assert node.context.ok() and not node.has_parameter("arm_gain")
-
-
-def test_an_unknown_parameter_for_the_node_itself_is_refused(declare, tmp_path):
-    path = tmp_path / "own.yaml"
-    path.write_text((FOREIGN % "plant").replace("arm_gain: 3.0", "k_i: 3.0"))
-    with pytest.raises(ConfigurationError, match="unknown parameter 'arm_gain'"):
-        declare("--params-file", str(path))

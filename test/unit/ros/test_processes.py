@@ -94,21 +94,3 @@ def test_all_that_a_process_has_started_ends_with_it_even_if_it_ignores_signals(
             process.send_to_group(signal.SIGTERM)
             end_together([process])
         assert sent == []
-
-
-def test_output_and_exit_code_are_kept() -> None:
-    program = "import sys; print('out'); print('err', file=sys.stderr); sys.exit(3)"
-    with CapturedProcess([sys.executable, "-c", program]) as process:
-        assert process.wait() == 3
-        assert (process.stdout, process.stderr, process.returncode) == ("out\n", "err\n", 3)
-        with pytest.raises(TimeoutError, match="'never'(.|\n)*out"):
-            process.wait_for_output("never", 0.05)
-
-
-def test_a_process_that_does_not_end_says_where_it_stands() -> None:
-    program = "import signal\ndef stuck(): print(1); signal.pause()\nstuck()"
-    with CapturedProcess([sys.executable, "-c", program]) as process:
-        process.wait_for_output("1")
-        with pytest.raises(TimeoutError, match="still running after 0.05 s(.|\n)*in stuck"):
-            process.wait(0.05)
-        assert process.wait() == -signal.SIGABRT

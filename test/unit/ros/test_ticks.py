@@ -128,28 +128,6 @@ def answered(batches: list[list[int]], previous: int | None = None) -> list[list
     return out
 
 
-def grid(tick: int, before: int) -> int:
-    """Return the largest n such that a multiple of 2^n lies in (before, tick]: looks at each."""
-    return max(
-        n for n in range(tick.bit_length()) for t in range(before + 1, tick + 1) if t % 2**n == 0
-    )
-
-
-LAGS = st.lists(st.lists(st.integers(1, 9), min_size=1, max_size=12), min_size=1, max_size=8)
-
-
-@given(st.integers(0, 3000), LAGS)
-def test_left_out_is_just_what_a_rounder_tick_follows(first: int, lags: list[list[int]]) -> None:
-    """A tick is as round as the roundest millisecond since the tick before it."""
-    last = first
-    for steps in lags:
-        waiting = [last + sum(steps[: i + 1]) for i in range(len(steps))]
-        roundness = [grid(t, b) for t, b in zip(waiting, [last, *waiting], strict=False)]
-        expected = [t for i, t in enumerate(waiting) if roundness[i] >= max(roundness[i:])]
-        assert answered([waiting], last) == [expected]
-        last = waiting[-1]
-
-
 def test_the_tick_before_those_that_wait_counts_and_the_first_of_all_has_none() -> None:
     assert answered([[16], [17, 18], [19, 20]]) == [[16], [18], [20]]  # 17 begins nothing
     assert answered([[21, 22]]) == [[21, 22]]

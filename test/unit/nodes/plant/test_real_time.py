@@ -33,32 +33,6 @@ def test_early_and_late_calls(late, due):
     assert made.skipped == max(0, due - 1)
 
 
-class Running(Hands):
-    """The hands of a clock that goes on by a microsecond at each look."""
-
-    def __call__(self):
-        self.now += 1000
-        return self.now
-
-
-def test_a_tick_that_is_nearly_due_is_waited_for_to_the_microsecond():
-    clock = Running()
-    made = Pace(TICK, 100_000, clock)
-    began = clock.now
-    clock.now = began + TICK  # the timer knows nothing of the wait
-    assert made.due() == 1
-    assert 0 <= clock.now - (began + TICK + 100_000) <= 1000
-    assert made.due() == 0  # the next one is not nearly due
-
-
-def test_a_busy_wait_takes_no_more_than_half_a_tick():
-    clock = Running()
-    made = Pace(TICK, 10 * TICK, clock)
-    clock.now += TICK
-    assert made.due() == 1
-    assert clock.now <= 1.6 * TICK
-
-
 def test_time_that_cannot_be_made_up_for_is_given_up_once_and_for_all():
     made, hands = pace()
     hands.now = 1001 * TICK

@@ -7,7 +7,6 @@ import sys
 from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
 
 import pytest
 from hypothesis import given
@@ -19,10 +18,9 @@ from rclpy.topic_endpoint_info import TopicEndpointInfo
 from std_msgs.msg import Float64, Int64
 
 from bench.processes import isolated_domain
-from tactile_hand_ros import names
 from tactile_hand_ros.errors import BagError
 from tactile_hand_ros.nodes.recorder import topic as topic_module
-from tactile_hand_ros.nodes.recorder.topic import RawTopic, SequenceTracker, adapted_qos
+from tactile_hand_ros.nodes.recorder.topic import LossCounter, RawTopic, adapted_qos
 from tactile_hand_ros.ros.endpoints import message_class
 from tactile_hand_ros.ros.middleware import ros_context
 from tactile_hand_ros.ros.processes import wait_until
@@ -130,16 +128,41 @@ def test_messages_are_taken_with_their_times(stage: Stage) -> None:
     assert all(0 < sent <= received for received, sent in stage.times)
 
 
-@pytest.mark.parametrize(("shared", "lost"), [((), 2), ((NAME,), 0)])
-def test_what_a_node_sends_before_it_is_found_is_a_loss_except_on_topics_of_all_nodes(
-    stage: Stage, monkeypatch: pytest.MonkeyPatch, shared: tuple[str, ...], lost: int
-) -> None:
-    monkeypatch.setattr(names, "OF_ALL_NODES", shared)
+def test_what_a_node_sends_before_it_is_found_is_a_loss(stage: Stage) -> None:
     publisher = stage.publisher(EAGER, 1, 2)  # the subscription asks for more until it adapts
     stage.match(publisher)
     stage.send(publisher, 3)
-    assert 3 in stage.take(1 + lost)
-    assert stage.topic.lost == lost
+    assert 3 in stage.take(3)
+    assert stage.topic.lost == 2
+
+
+@given(st.integers(1, 1000), st.sets(st.integers(1, 98), max_size=50))
+def test_of_one_publisher_what_is_missing_between_two_messages_is_counted(
+    first: int, gaps: set[int]
+) -> None:
+    losses = LossCounter(lambda: {b"a"}, 0.0)
+    for i in range(100):
+        if i not in gaps:
+            losses.note(first + i)
+    assert losses.count == len(gaps)
+
+
+def test_of_several_publishers_nothing_is_counted_and_all_of_one_that_appears_alone() -> None:
+    present = {b"a"}
+    losses = LossCounter(lambda: present, 0.0)
+    for now, number, count in (
+        ({b"a"}, 50, 0),  # older than the subscription
+        ({b"a"}, 53, 2),
+        ({b"a", b"b"}, 70, 2),
+        ({b"a", b"b"}, 54, 2),
+        ({b"b"}, 80, 2),
+        ({b"b"}, 82, 3),
+        ({b"c"}, 5, 7),  # it has sent four before it found the subscription
+        (set(), 9, 7),  # the context has ended
+    ):
+        present = now
+        losses.note(number)
+        assert losses.count == count
 
 
 def test_a_weaker_publisher_next_to_another_is_taken_too(stage: Stage) -> None:
@@ -238,88 +261,3 @@ def test_what_is_no_type_name_is_refused(name: str) -> None:
     with pytest.raises(BagError, match="is not a type name, expected package/msg/Type") as caught:
         message_class(name)
     assert len(str(caught.value)) < 250
-
-
-def lost(numbers: list[int], publishers: int = 1) -> int:
-    """Return the losses that the tracker finds in a stream of numbers."""
-    tracker = SequenceTracker(publishers)
-    for number in numbers:
-        tracker.see(number)
-    return tracker.lost
-
-
-@given(st.integers(1, 1000), st.sets(st.integers(1, 98), max_size=50))
-def test_one_publisher_is_counted_exactly(first: int, gaps: set[int]) -> None:
-    """Whatever is missing between the first and the last message counts, nothing else."""
-    numbers = [first + i for i in range(100) if i not in gaps]
-    assert lost(numbers) == len(gaps)
-
-
-@given(st.lists(st.sampled_from("abc"), max_size=60))
-def test_interleaved_publishers_without_loss_count_zero(order: list[str]) -> None:
-    """Several publishers on one topic, each from its first message, in any order."""
-    counts = dict.fromkeys("abc", 0)
-    numbers = []
-    for publisher in order:
-        counts[publisher] += 1
-        numbers.append(counts[publisher])
-    assert lost(numbers) == 0
-
-
-@pytest.mark.parametrize(
-    ("numbers", "publishers", "missing"),
-    [
-        ([1, 2, 5, 10, 5], 1, 2 + 4),  # a number that never came is not waited for
-        ([1, 2, 3, 1, 2], 1, 0),  # a restarted publisher numbers its messages from one again
-        ([1, 2, 1, 5, 2, 6], 1, 2),  # the gap belongs to the publisher just below it
-        ([1, 2, 7, 3, 8, 9, 4], 2, 0),  # one that published before starts anywhere, also above
-        ([1, 2, 7, 3, 8, 10, 4], 2, 1),
-        ([1, 2, 7, 8], 1, 4),
-        ([50, 20, 51, 21], 1, 0),  # below all others
-        ([50, 1, 51, 2], 1, 0),
-        ([5, 6, 8, 5], 1, 1),
-        ([1, 1, 2, 2, 3, 3], 1, 0),  # two that expect the same number
-        ([1, 1, 2, 2, 4, 4], 1, 2),
-    ],
-)
-def test_gaps_and_first_numbers_are_told_apart(
-    numbers: list[int], publishers: int, missing: int
-) -> None:
-    assert lost(numbers, publishers) == missing
-
-
-@pytest.mark.parametrize(
-    ("publishers", "steps", "missing"),
-    [
-        # One that left without a message is not waited for: a gap of the one that stayed.
-        (2, [1, {"present": 0}, 4], 2),
-        # Of two older ones the first numbers are free, of a third one they are a gap.
-        (0, [{"present": 3, "older": 2}, 70, 30], 0),
-        (0, [{"present": 3, "older": 2}, 70, 30, 34, 71], 3),
-        # Older ones are expected before younger ones; then a number is a gap of the nearest below.
-        (0, [{"present": 1, "older": 1}, {"present": 2, "younger": 1}, 50], 0),
-        (0, [{"present": 1, "older": 1}, {"present": 2, "younger": 1}, 50, 3], 2),
-        (0, [{"present": 1, "older": 1}, {"present": 2, "younger": 1}, 50, 3, 100], 2 + 49),
-    ],
-)
-def test_each_publisher_accounts_for_one_first_number(
-    publishers: int, steps: list[Any], missing: int
-) -> None:
-    tracker = SequenceTracker(publishers)
-    for step in steps:
-        tracker.change(**step) if isinstance(step, dict) else tracker.see(step)
-    assert tracker.lost == missing
-
-
-def test_all_of_a_publisher_that_appears_later_count() -> None:
-    """A restarted publisher sends immediately, but takes time to find the subscription."""
-    appeared: list[int] = []
-    tracker = SequenceTracker(1, lambda: tracker.change(1, younger=len(appeared)))
-    for number in (50, 51, 52):
-        tracker.see(number)
-    appeared.append(1)
-    tracker.see(187)
-    appeared.clear()
-    for number in (188, 190):
-        tracker.see(number)
-    assert tracker.lost == 187
