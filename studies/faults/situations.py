@@ -20,6 +20,7 @@ from studies.faults.space import SPREAD
 from studies.stalls import GuardedLoop
 from tactile_hand_ros.control.command_guard import GuardConfig
 from tactile_hand_ros.errors import DivergedError
+from tactile_hand_ros.extras import optional
 from tactile_hand_ros.scenario.scenario import Scenario, load_scenario
 
 Array = NDArray[np.float64]
@@ -129,8 +130,8 @@ class Expected(NamedTuple):
             return math.inf
         holds = [points for begin, points in self.holds.items() if begin > moment - _STEP]
         known = np.concatenate([self.driven[self.times >= moment - _STEP / 10.0], *holds])
-        squares = ((seen[:, None, :] - known[None, :, :]) ** 2).sum(axis=2).min(axis=1)
-        return float(math.sqrt(squares.max()))
+        nearest = optional("scipy.spatial", "Where the object may be").KDTree(known)
+        return float(nearest.query(seen)[0].max())
 
 
 @cache

@@ -261,7 +261,8 @@ class Plant:
             impulse = np.linalg.solve(back[passed], v[:m][passed])
             now = now._replace(velocities=np.concatenate([v[:m] - back @ impulse, v[m:]]))
             inertia[passed, passed] += _ENDLESS * inertia.diagonal().max()
-            hand = hand._replace(inertia=inertia)
+            # In Pinocchio's order: for another, `step` would be compiled again, for many seconds.
+            hand = hand._replace(inertia=np.asfortranarray(inertia))
 
     def _turn_palm(self, time: float) -> Turning | None:
         """Turn gravity with the palm at a time, s; return its motion, None if it never turns."""

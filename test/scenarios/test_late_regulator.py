@@ -24,7 +24,7 @@ def test_a_regulator_that_is_three_ticks_late_keeps_the_object(outcomes, name):
 
 
 # Until the grasp force has come to rest after the load.
-SHORTER = {"pull": {"duration": 4.0}, "gravity": {"duration": 5.0}}
+SHORTER = {"pull": {"duration": 3.0}, "gravity": {"duration": 3.5}}
 
 
 @pytest.mark.parametrize("name", SHORTER)

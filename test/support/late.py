@@ -12,7 +12,7 @@ from tactile_hand_ros.scenario.scenario import load_scenario
 
 LATE, EVERY = 3, 3  # ticks that an answer takes; of so many ticks one is answered
 # Until the worst of the load has come.
-SECONDS = {"pull": 2.6, "gravity": 2.0, "slippery": 3.6, "heavy": 3.0}
+SECONDS = {"pull": 2.3, "gravity": 1.8, "slippery": 3.3, "heavy": 2.6}
 
 
 class LateRegulator(SlipRegulator):

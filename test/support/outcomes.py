@@ -10,7 +10,7 @@ from tactile_hand_ros.closed_loop.loop import ClosedLoop
 from tactile_hand_ros.closed_loop.record import Record
 from tactile_hand_ros.scenario.scenario import Scenario, load_scenario
 
-_STEP, _MOST = 0.02, 400  # s between instants that are looked at, and about how many at most
+_STEP = 0.05  # s between instants that are looked at, besides those at which a load begins
 
 
 def run_scenario(name: str, changes: dict) -> Record:
@@ -52,8 +52,7 @@ def survival(record: Record, scenario: Scenario) -> Survival:
     grasps = np.maximum.accumulate(np.where(whole, np.arange(len(record)), 0))
     starts = [d.start for d in scenario.plant.disturbances]
     starts += [c.start for c in scenario.plant.friction_changes]
-    step = max(_STEP, scenario.duration / _MOST)
-    times = np.union1d(np.arange(0.0, scenario.duration, step), np.array(starts) + 1e-6)
+    times = np.union1d(np.arange(0.0, scenario.duration, _STEP), np.array(starts) + 1e-6)
     worst, when = 0.0, 0.0
     for time in times[times <= scenario.duration]:
         row = min(int(np.searchsorted(record.times, time)), len(record) - 1)

@@ -72,41 +72,16 @@ def grip():
     return Grip()
 
 
-def test_equation_14_to_the_letter(grip):
+def test_equations_14_and_10_to_the_letter(grip):
+    """Both drive by the error of the pose and damp; they press by f*, or towards the centroid."""
     points = grip.contacts.positions
-    error = np.concatenate(
-        [
-            grip.target.position - points.mean(axis=0),
-            rotation_error(points, grip.target.orientation),
-        ]
-    )
-    gains = np.diag([3.0, 3.0, 3.0, 0.5, 0.5, 0.5])
-    about_centroid = grasp_map(points, points.mean(axis=0))
-    in_palm = [r @ f for r, f in zip(grip.contacts.rotations, grip.optimal)]
-    expected = (
-        K_F * grip.jacobian.T @ np.concatenate(in_palm)
-        - 0.07 * grip.rates
-        + grip.jacobian.T @ np.linalg.pinv(about_centroid) @ gains @ error
-    )
-    np.testing.assert_allclose(grip.torque("optimal").total, expected, atol=1e-11)
-
-
-def test_equation_10_to_the_letter(grip):
-    points = grip.contacts.positions
-    error = np.concatenate(
-        [
-            grip.target.position - points.mean(axis=0),
-            rotation_error(points, grip.target.orientation),
-        ]
-    )
-    gains = np.diag([3.0, 3.0, 3.0, 0.5, 0.5, 0.5])
-    about_centroid = grasp_map(points, points.mean(axis=0))
-    expected = -0.07 * grip.rates
-    for i in range(3):
-        block = grip.jacobian[3 * i : 3 * i + 3]
-        expected = expected + K_F * block.T @ (points.mean(axis=0) - points[i])
-    expected = expected + grip.jacobian.T @ np.linalg.pinv(about_centroid) @ gains @ error
-    np.testing.assert_allclose(grip.torque("contact").total, expected, atol=1e-11)
+    shift = grip.target.position - points.mean(axis=0)
+    turn = rotation_error(points, grip.target.orientation)
+    driven = grip.carrying(np.concatenate([3.0 * shift, 0.5 * turn])) - 0.07 * grip.rates
+    optimal = [r @ f for r, f in zip(grip.contacts.rotations, grip.optimal, strict=True)]
+    for name, pressing in (("optimal", optimal), ("contact", points.mean(axis=0) - points)):
+        expected = driven + K_F * grip.jacobian.T @ np.ravel(pressing)
+        np.testing.assert_allclose(grip.torque(name).total, expected, atol=1e-11)
 
 
 def test_equation_8_to_the_letter(grip):

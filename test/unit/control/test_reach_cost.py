@@ -5,12 +5,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from support.controllers import TICK, Bench
 from support.hands import prism_grasp, write_hand
 from support.plants import plant
 
-from tactile_hand_ros.control.controller import Controller, ControllerConfig, Mode
+from tactile_hand_ros.control.controller import Mode
 from tactile_hand_ros.control.laws import AuxiliaryPose, Target
-from tactile_hand_ros.control.optimizer.force_optimizer import ForceOptimizer, ForceOptimizerConfig
 from tactile_hand_ros.control.reach import check_reach, inverse_kinematics
 from tactile_hand_ros.errors import PoseError
 from tactile_hand_ros.hand.hand import Hand
@@ -18,7 +18,6 @@ from tactile_hand_ros.rotations import rotation_from_vector
 from tactile_hand_ros.scenario.scenario import load_scenario
 from tactile_hand_ros.simulation.plant import Plant
 
-TICK = 2_000_000
 FAR = (0.0, 0.0, 2.0)
 SLIDER = """<robot name="slider"><link name="palm"/>{}</robot>"""
 BODY = """<inertial><origin xyz="0 0 0.06"/><mass value="0.1"/>
@@ -182,29 +181,13 @@ def test_fingers_with_joints_to_spare_are_solved_to_the_end(tmp_path):
     assert grasp.can_follow(*motion) and grasp.is_in_reach(*motion)
 
 
-class Bench:
-    """A controller that sees the paper's grasp at rest, or where it is moved to."""
+def wanted(bench):
+    """Return how far along x the grasp shall be, m."""
+    return bench.controller.target.position[0] - bench.centroid[0]
 
-    def __init__(self):
-        state = plant().state
-        self.controller = Controller(ControllerConfig().changed({"touch_tolerance": 10.0}))
-        self.theta, self.contacts, self.stamp = state.theta, state.contacts, 0
-        self.optimal = ForceOptimizer(ForceOptimizerConfig(), 3).solve(self.contacts).forces
 
-    def step(self, contacts=None):
-        seen = contacts or self.contacts
-        command = self.controller.step(
-            self.stamp, self.theta, np.zeros(9), seen, self.optimal, 10.0
-        )
-        self.stamp += TICK
-        return command
-
-    def target(self, x, y=0.0, z=0.0):
-        return Target(self.contacts.centroid + np.array([x, y, z]), np.eye(3))
-
-    @property
-    def wanted(self):
-        return self.controller.target.position[0] - self.contacts.centroid[0]
+def along(bench, x):
+    return bench.target(x, 0.0, 0.0)
 
 
 @pytest.fixture
@@ -215,23 +198,23 @@ def bench():
 def test_of_several_poses_each_is_judged_once(bench, checks):
     bench.step()
     for ticks in (3, 5):
-        bench.controller.command(bench.target(0.01 * ticks), stamp=ticks * TICK)
-    wanted = []
+        bench.controller.command(along(bench, 0.01 * ticks), stamp=ticks * TICK)
+    found = []
     for _ in range(6):
         bench.step()
-        wanted.append(bench.wanted)
-    np.testing.assert_allclose(wanted, [0.0, 0.0, 0.03, 0.03, 0.05, 0.05], atol=1e-12)
+        found.append(wanted(bench))
+    np.testing.assert_allclose(found, [0.0, 0.0, 0.03, 0.03, 0.05, 0.05], atol=1e-12)
     assert len(checks) == 2
 
 
 def test_a_pose_that_is_said_again_and_again_is_judged_once(bench, checks):
     bench.step()
     for _ in range(5):
-        bench.controller.command(bench.target(0.05))
+        bench.controller.command(along(bench, 0.05))
         bench.step()
     assert len(checks) == 1
-    turned = Target(bench.target(0.05).position, rotation_from_vector([0.0, 0.0, 0.01]))
-    for other in (bench.target(0.04), turned):
+    turned = bench.target(0.05, 0.0, 0.0, turn=(0.0, 0.0, 0.01))
+    for other in (turned, along(bench, 0.04)):
         bench.controller.command(other)
         bench.step()
     assert len(checks) == 3
@@ -240,36 +223,36 @@ def test_a_pose_that_is_said_again_and_again_is_judged_once(bench, checks):
 def test_one_tick_judges_one_pose_the_newest_first(bench, checks):
     """All were said before the hand knew a grasp; the first in reach takes the place of older."""
     for shift in (0.01, 0.02):
-        bench.controller.command(bench.target(shift))
+        bench.controller.command(along(bench, shift))
     for _ in range(2):
         bench.controller.command(bench.target(*FAR))
     for refused in range(2):
         command = bench.step()
         assert command.mode is Mode.DRIVE and "out of reach" in command.reason
-        assert len(checks) == refused + 1 and bench.wanted == 0.0
-    assert bench.step().reason == "" and bench.wanted == pytest.approx(0.02)
+        assert len(checks) == refused + 1 and wanted(bench) == 0.0
+    assert bench.step().reason == "" and wanted(bench) == pytest.approx(0.02)
     for _ in range(3):
         bench.step()
-    assert len(checks) == 3 and bench.wanted == pytest.approx(0.02)
+    assert len(checks) == 3 and wanted(bench) == pytest.approx(0.02)
 
 
 def test_what_is_said_while_older_poses_wait_comes_after_them(bench, checks):
-    bench.controller.command(bench.target(0.01), stamp=1)
+    bench.controller.command(along(bench, 0.01), stamp=1)
     bench.controller.command(bench.target(*FAR), stamp=2)
     bench.stamp = TICK
     assert "out of reach" in bench.step().reason
-    bench.controller.command(bench.target(0.02))
-    bench.controller.command(bench.target(0.03), stamp=4 * TICK)
+    bench.controller.command(along(bench, 0.02))
+    bench.controller.command(along(bench, 0.03), stamp=4 * TICK)
     bench.step()
-    assert bench.wanted == pytest.approx(0.02)
+    assert wanted(bench) == pytest.approx(0.02)
     bench.step()
     bench.step()
-    assert bench.wanted == pytest.approx(0.03) and bench.stamp == 5 * TICK
+    assert wanted(bench) == pytest.approx(0.03) and bench.stamp == 5 * TICK
 
 
 def test_a_new_grasp_judges_what_waits_anew(bench, checks):
     bench.step()
-    waiting, again = bench.target(0.04), bench.target(0.05)
+    waiting, again = along(bench, 0.04), along(bench, 0.05)
     bench.controller.command(waiting, stamp=4 * TICK)
     bench.step()
     bench.controller.command(again, stamp=9 * TICK)
@@ -282,13 +265,13 @@ def test_a_new_grasp_judges_what_waits_anew(bench, checks):
     for _ in range(3):
         bench.step()
     assert [id(target) for target in checks[2:]] == [id(again), id(waiting)]
-    assert bench.wanted == pytest.approx(0.04)
+    assert wanted(bench) == pytest.approx(0.04)
 
 
 def test_a_reset_forgets_what_was_in_reach(bench, checks):
     bench.step()
-    bench.controller.command(bench.target(0.05))
+    bench.controller.command(along(bench, 0.05))
     bench.controller.reset()
     bench.step()
-    bench.controller.command(bench.target(0.05))
+    bench.controller.command(along(bench, 0.05))
     assert len(checks) == 2

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
-from support.grasps import normals, pinch, point_sets, rotations, three_faces, vectors
+from support.grasps import pinch, point_sets, rotations, three_faces, vectors
 
 from tactile_hand_ros.control.grasp import (
     VirtualFrame,
@@ -103,13 +103,6 @@ def test_points_on_a_line_have_no_frame():
     frame.orientation(np.vstack([three_faces().positions, [[0.0, 0.0, 0.1]]]))
     with pytest.raises(CollinearContactsError):
         frame.orientation(line)
-
-
-@given(rotations, normals, st.floats(-3.1, 3.1))
-def test_orientation_error_is_twice_the_sine_times_the_axis(actual, axis, angle):
-    desired = Rotation.from_rotvec(angle * axis).as_matrix() @ actual
-    expected = 2.0 * np.sin(angle) * axis
-    np.testing.assert_allclose(orientation_error(actual, desired), expected, atol=1e-12)
 
 
 @given(rotations, rotations)

@@ -7,6 +7,7 @@ from support.plants import energy_of, momentum, plant
 
 from tactile_hand_ros.errors import ConfigurationError, DivergedError, ObjectModelError
 from tactile_hand_ros.scenario.scenario import load_scenario
+from tactile_hand_ros.simulation import plant as plant_module
 from tactile_hand_ros.simulation.contact_step import TOUCH
 from tactile_hand_ros.simulation.plant import Plant
 from tactile_hand_ros.simulation.plant_config import (
@@ -213,6 +214,21 @@ def test_a_simulation_that_diverges_reports_it_and_can_restart():
             made.advance(NOTHING)
     made.reset()
     assert np.isfinite(made.advance(np.zeros(made.hand.joints)).theta).all()
+
+
+def test_a_step_with_a_joint_at_its_stop_runs_the_code_of_every_other_step(monkeypatch):
+    """It is compiled for arrays of one order, and again, for many seconds, for another."""
+    orders, step = [], plant_module.step
+
+    def ordered(*args):
+        orders.append(args[4].inertia.flags.f_contiguous)
+        return step(*args)
+
+    monkeypatch.setattr(plant_module, "step", ordered)
+    world = plant(initial_joints=[3.14, 0.0, 1.5], **FAR)
+    world.hand.position_limits[1][:] = world.state.theta
+    world.advance(np.ones(9))
+    assert len(orders) > 1 and all(orders)
 
 
 def test_a_joint_stops_at_its_limit_without_energy_and_leaves_it_freely():

@@ -81,17 +81,6 @@ def test_a_finger_that_could_only_disturb_gets_nothing():
     assert found.residual < 1e-9
 
 
-def test_forces_belong_to_the_object_not_to_place_or_size():
-    turn = rotation_from_vector([0.4, -1.1, 2.0])
-    solver, grasp = optimizer(), three_faces()
-    expected = solver.solve(grasp).forces
-    there = solver.solve(moved(grasp, turn, np.array([3.0, -2.0, 1.0]))).forces
-    np.testing.assert_allclose(there, expected, atol=1e-9)
-    for scale in (0.01, 20.0):
-        scaled = Contacts(scale * grasp.positions, grasp.rotations)
-        np.testing.assert_allclose(solver.solve(scaled).forces, expected, atol=1e-9)
-
-
 def test_normals_that_cannot_balance_are_a_status_with_a_reason():
     found = optimizer().solve(same_side())
     assert found.status is Status.UNBALANCED and not found.ok

@@ -7,8 +7,15 @@ import pytest
 from tactile_hand_ros.control.slip.detector import ContactState, SlipDetector, SlipDetectorConfig
 
 UNKNOWN, STICK, SLIP = ContactState.UNKNOWN, ContactState.STICK, ContactState.SLIP
-DT, NORMAL = 0.001, np.array([[0.0, 1.0, 0.0]])
-NOTHING = [np.nan] * 3
+DT, NOTHING = 0.001, [np.nan] * 3
+
+
+def normals_of(contacts):
+    """Return normals along y, as columns of frames: those that contacts have."""
+    return np.tile(np.eye(3), (contacts, 1, 1))[:, :, 1]
+
+
+NORMAL = normals_of(1)
 
 
 def run(forces, detector=None, dt=DT, normal=NORMAL, fresh=None):
@@ -38,7 +45,7 @@ def slips_once(ticks=500, **how):
 def test_false_alarms_are_as_rare_as_they_are_asked_to_be():
     """A thousand contacts for 5 s, where one in an hour of each is accepted: 1.4 altogether."""
     detector = SlipDetector(SlipDetectorConfig(false_alarm_time=3600.0), 1000)
-    random, normals, new = np.random.default_rng(0), np.tile(NORMAL, (1000, 1)), np.ones(1000, bool)
+    random, normals, new = np.random.default_rng(0), normals_of(1000), np.ones(1000, bool)
     before, alarms = np.zeros(1000, dtype=int), 0
     for _ in range(5000):
         forces = np.array([1.0, 5.0, 0.5]) + 0.01 * random.standard_normal((1000, 3))
@@ -185,7 +192,7 @@ def test_a_detector_that_was_reset_equals_a_new_one():
 
 def test_contacts_are_judged_apart():
     detector, new = SlipDetector(SlipDetectorConfig(), 3), np.ones(3, bool)
-    normals = np.tile(NORMAL, (3, 1))
+    normals = normals_of(3)
     quiet, loud = sticking(520), slips_once()
     for i in range(520):
         forces = np.array([quiet[i], loud[i], NOTHING])

@@ -21,13 +21,13 @@ def estimator(contacts=3, explore=0.0, **values):
 def feel(made, ratios, states, ticks=1, normal=5.0, noise=0.01, seed=0, dt=DT, **told):
     """Feed force ratios and states of all contacts for some ticks; return the estimates."""
     random, k = np.random.default_rng(seed), len(ratios)
-    normals = np.tile([0.0, 1.0, 0.0], (k, 1))
+    normals = np.tile(np.eye(3), (k, 1, 1))[:, :, 1]  # columns of frames, as contacts have them
     states = np.array(states)
     for _ in range(ticks):
         forces = normal * np.array([[r * 0.6, 1.0, r * 0.8] for r in ratios])
         forces += noise * random.standard_normal((k, 3))
         flags = [
-            np.broadcast_to(told.get(name, default), k)
+            np.full(k, told.get(name, default), dtype=bool)
             for name, default in (
                 ("suspected", states == SLIP),
                 ("agrees", states == SLIP),
