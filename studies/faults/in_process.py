@@ -107,6 +107,14 @@ class _Block:
 
 
 class _Regulator(_Block):
+    @property
+    def joints_held(self) -> bool:
+        return bool(self.block.joints_held)
+
+    @joints_held.setter
+    def joints_held(self, held: bool) -> None:
+        self.block.joints_held = held
+
     def step(self, stamp: int, contacts: Contacts | None, forces: Array | None) -> Any:
         is_complete = contacts is not None and forces is not None
         answer = self.block.step(stamp, contacts, forces) if is_complete else None

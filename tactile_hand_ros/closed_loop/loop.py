@@ -82,8 +82,9 @@ class Chain:
         return Answer(grasp_force, optimal, command)
 
     def pass_on_rejection(self) -> None:
-        """Pass on to the regulator whether the controller rejects touch."""
+        """Pass on to the regulator whether touch is rejected, and whether the joints are held."""
         self.regulator.reject_touch(self.controller.touch_rejected)
+        self.regulator.joints_held = self.controller.joints_held
 
 
 class SensingChain(Chain):

@@ -175,9 +175,8 @@ class Controller:
 
     Attributes:
         enabled: Whether the law acts; otherwise the hand only damps.
-        touch_rejected: Whether friction must not be learned from touch: joints and touch do not fit
-            each other, or a guard holds the joints, which shakes the grasp. False while the hand is
-            open or disabled.
+        touch_rejected: Whether nothing must be learned from touch, since joints and touch do not
+            fit each other. False while the hand is open or disabled.
         joints_held: Whether a guard holds the joints, so that these torques do not reach them. The
             integral and the reference wait meanwhile.
         warning: Why a hold could not keep this grasp; empty if it could.
@@ -468,7 +467,7 @@ class Controller:
         )
         seen = contacts, limits, pressing, self._palm
         tips, problem = self._inputs.step(stamp, theta, rates, *seen)
-        self.touch_rejected = bool(problem) or self.joints_held
+        self.touch_rejected = bool(problem)
         return tips, problem
 
     def _way_to_target(self, pose: AuxiliaryPose, dt: float) -> Target:

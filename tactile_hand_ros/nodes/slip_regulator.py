@@ -145,8 +145,8 @@ class SlipRegulatorNode(TactileNode[SlipRegulatorConfig]):
     Subscriptions: `tactile/contacts` (geometry_msgs/PoseArray, palm frame, m),
     `tactile/<finger>/wrench` (geometry_msgs/WrenchStamped in `<finger>_contact`, N), both of one
     stamp; `user_grasp_force` (std_msgs/Float64, the k_f that the user asks for, N);
-    `touch_rejected` (std_msgs/Bool, whether the controller rejects the touch, from which nothing is
-    learned then).
+    `touch_rejected` and `joint_hold` (std_msgs/Bool, whether the controller rejects touch, and
+    whether a guard holds the joints).
 
     Publications, with the stamps of the input: `grasp_force` (geometry_msgs/WrenchStamped, k_f in
     force.y, N), `grip_state` (sensor_msgs/JointState by finger: learned friction, evidence for slip
@@ -174,8 +174,8 @@ class SlipRegulatorNode(TactileNode[SlipRegulatorConfig]):
         """Build the regulator.
 
         Args:
-            composed: Whether a chain in this process calls `step` and `reject_touch`, so that
-                neither ticks nor `touch_rejected` are received.
+            composed: Whether a chain in this process calls `step`, `reject_touch` and sets
+                `joints_held`, so that none of that is received.
             **kwargs: For `rclpy.node.Node`.
 
         Raises:
@@ -212,6 +212,7 @@ class SlipRegulatorNode(TactileNode[SlipRegulatorConfig]):
             self.subscribe(
                 Bool, names.TOUCH_REJECTED, lambda m: self.reject_touch(m.data), profile=latched
             )
+            self.subscribe(Bool, names.JOINT_HOLD, self._on_joint_hold, profile=latched)
             declared = (streams.contacts(len(fingers)), streams.forces(fingers))
             self._inputs = TickInputs(self, declared, self, observe=self.observe)
 
@@ -256,6 +257,19 @@ class SlipRegulatorNode(TactileNode[SlipRegulatorConfig]):
         """Note whether the controller rejects touch; nothing is learned from it then."""
         if self._changes.state(names.TOUCH_REJECTED, rejected):
             self._regulator.reject_touch(rejected)
+
+    @property
+    def joints_held(self) -> bool:
+        """Whether a guard holds the joints, so that no k_f reaches them."""
+        return self._regulator.joints_held
+
+    @joints_held.setter
+    def joints_held(self, held: bool) -> None:
+        if self._changes.state(names.JOINT_HOLD, held):
+            self._regulator.joints_held = held
+
+    def _on_joint_hold(self, message: Bool) -> None:
+        self.joints_held = message.data
 
     def _on_reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         self.on_restart()

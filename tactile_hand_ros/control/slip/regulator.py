@@ -71,7 +71,9 @@ class SlipRegulator:
     learned friction. It rises immediately, falls slowly, and rises to the limit during a slip. A
     lost contact counts as one without force, so that the load that has removed it counts.
 
-    Rejected touch is ignored, and friction learned shortly before is forgotten.
+    Rejected touch is ignored. While a guard holds the joints, which shakes the grasp and which no
+    k_f reaches, the required grasp force follows the load, but nothing is learned of slips. What
+    was learned of the friction shortly before either of both is forgotten.
 
     Attributes:
         grasp_force: k_f, N.
@@ -95,7 +97,7 @@ class SlipRegulator:
         weight = finger_weight(load_hand_config(config.hand))
         self._required = RequiredGraspForce(config.reserve, fingers, weight)
         self._response = SlipResponse(config.reflex, config.grasp_force)
-        self._rejected = False
+        self._rejected = self._held = False
         self.reset()
 
     def configure(self, config: SlipRegulatorConfig) -> None:
@@ -135,11 +137,25 @@ class SlipRegulator:
             rejected: Whether to ignore it.
         """
         if rejected and not self._rejected:
-            if self._kept:
-                self._estimator.restore(self._kept[0][1])
-            self._response.start(self._response.grasp_force)
+            self._forget_slips()
             self._required.reset()
         self._rejected = rejected
+
+    @property
+    def joints_held(self) -> bool:
+        """Whether a guard holds the joints from the next tick on."""
+        return self._held
+
+    @joints_held.setter
+    def joints_held(self, held: bool) -> None:
+        if held and not self._held:
+            self._forget_slips()
+        self._held = held
+
+    def _forget_slips(self) -> None:
+        if self._kept:
+            self._estimator.restore(self._kept[0][1])
+        self._response.start(self._response.grasp_force)
 
     @property
     def state(self) -> NDArray[np.int64]:
@@ -214,12 +230,14 @@ class SlipRegulator:
         fresh, self._last = (measured != self._last).any(axis=1), measured.copy()
         forces = in_palm(contacts.rotations, measured, 1.0)
         forces[~touching | self._rejected] = np.nan
-        if not self._rejected:
+        learns = not (self._rejected or self._held)
+        if learns:
             self._keep(stamp)
         parts, at = self._split(contacts, forces)
         grasped = contacts.enough_touching
         axes = parts.internal if parts is not None and grasped else normals
-        slips, slides = self._watch(forces, normals, axes, fresh, dt)
+        seen = forces if learns else np.full_like(forces, np.nan)
+        slips, slides = self._watch(seen, normals, axes, fresh, dt)
         self.needed = self.ready = math.nan
         if parts is None:
             self._required.lose()

@@ -609,7 +609,7 @@ def test_inputs_that_do_not_fit_are_doubted_until_they_do():
     assert not bench.step(100, **wrong).do_not_send and bench.controller.touch_rejected
     bench.controller.joints_held = True
     assert bench.step(**wrong).do_not_send
-    assert bench.step().mode is Mode.DRIVE and bench.controller.touch_rejected
+    assert bench.step().mode is Mode.DRIVE and not bench.controller.touch_rejected
     bench.controller.joints_held = False
     assert bench.step().mode is Mode.DRIVE and not bench.controller.touch_rejected
     assert bench.step(optimal_forces=2.0 * bench.optimal).do_not_send

@@ -121,7 +121,7 @@ def edited(tmp_path, old, new, file="hand.urdf"):
         ("hand.yaml", "tip: f2_tip", "tip: f2_base", r"'f2_base'.*not moved by any joint"),
         ("hand.yaml", "urdf: hand.urdf", "urdf: hand.urdf\npalm: f1_tip", r"'f1_tip'.*root"),
         ("hand.urdf", 'type="revolute"', 'type="continuous"', r"revolute or prismatic"),
-        ("hand.yaml", "urdf: hand.urdf", "urdf: /dev/zero", r"/dev/zero.*larger than.*correct 'urdf'"),
+        ("hand.yaml", "urdf: hand.urdf", "urdf: /dev/zero", r"/dev/zero.*larger.*correct 'urdf'"),
         ("hand.yaml", "urdf: hand.urdf", 'urdf: "a\\0b"', r"cannot use.*correct 'urdf'"),
         ("hand.urdf", "<robot", "<!DOCTYPE a><robot", r"declares a DOCTYPE"),
         ("hand.urdf", "</robot>", "<a>" * 9999 + "</a>" * 9999 + "</robot>", r"nested too deeply"),

@@ -394,6 +394,28 @@ def test_a_load_that_has_come_while_touch_was_doubted_is_met_at_once():
     assert slip.step(400 * TICK, three_faces(), heavy) == slip.needed > before + 0.5
 
 
+def test_while_the_joints_are_held_the_load_counts_and_slips_do_not():
+    """A guard hands over to k_f: one from before the load would drop the object."""
+    slip, random = regulator(mode="auto", maximum=200.0), np.random.default_rng(3)
+    heavy = FORCES + [[0.0, 0.0, 2.0], [0.0, 0.0, 2.0], [0.0, 0.0, 0.0]]
+    run(slip, 300)
+    known, before = slip.learned_friction, slip.grasp_force
+    for i in range(300, 310):  # the hold sets in with a shock
+        shaken = 4.0 * FORCES * [0.2, 1.0, 0.2] + 0.4 * random.standard_normal((3, 3))
+        slip.step(i * TICK, three_faces(), shaken)
+    assert (slip.learned_friction < 0.9 * known).any()
+    slip.joints_held = True
+    np.testing.assert_allclose(slip.learned_friction, known, rtol=0.01)
+    for i in range(310, 400):
+        slip.step(i * TICK, three_faces(), heavy + 0.15 * random.standard_normal((3, 3)))
+        assert (slip.state == UNKNOWN).all()
+    np.testing.assert_allclose(slip.learned_friction, known, rtol=0.01)
+    held = slip.step(400 * TICK, three_faces(), heavy)
+    assert before + 0.5 < slip.needed <= held < 3.0 * slip.needed
+    slip.joints_held = False
+    assert slip.step(401 * TICK, three_faces(), heavy) == pytest.approx(held, rel=0.1)
+
+
 def test_a_skin_that_freezes_while_it_shows_slip_does_not_drive_the_grasp_force_up():
     slip = regulator(mode="auto", maximum=200.0)
     run(slip, 300)
