@@ -158,7 +158,7 @@ def _solved(problem: Problem, held: Flags) -> tuple[Array, float, int]:
 
 @compiled
 def solve_problem(problem: Problem, held: Flags) -> tuple[Array, Array, int]:
-    """Return the optimum and the number of linear systems.
+    """Return the optimum, of (13) for example, and the number of linear systems.
 
     Args:
         problem: The problem.
