@@ -23,7 +23,7 @@ from tactile_hand_ros.orchestrator import command as orchestrator
 PROGRAM = "tactile-hand"
 
 EXAMPLES = {
-    "run": "run human_pull --set slip_regulator.mode=user --open",
+    "run": "run human_pull --set slip_regulator.mode=user --duration 5",
     "grasp": "grasp --namespace /left",
     "release": "release --namespace /left",
     "reset": "reset --namespace /left",
@@ -34,7 +34,7 @@ EXAMPLES = {
     "report": "report runs/latest --out .",
     "summary": "summary runs/latest",
     "recover": "recover runs/latest",
-    "replay": "replay runs/latest --rate 2 --start-offset 3",
+    "replay": "replay runs/latest --rate 2 --topics /joint_states",
     "move": "move 0.0 0.0436 0.4118 --rotation 0 0 -3",
     "squeeze": "squeeze 12",
 }

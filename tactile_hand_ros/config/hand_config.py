@@ -17,10 +17,10 @@ _MOST_FINGERS = 32
 
 
 class FingerConfig(Config):
-    """One finger: the link whose origin is the centre of its hemispherical tip."""
+    """One finger: the link whose origin is the center of its hemispherical tip."""
 
     name: str = param(..., "name of the finger in topics and frames", pattern=_NAME)
-    tip: str = param(..., "link at the centre of the fingertip", min_length=1)
+    tip: str = param(..., "link at the center of the fingertip", min_length=1)
     radius: float = param(..., "radius of the fingertip", unit="m", gt=0.0)
 
 

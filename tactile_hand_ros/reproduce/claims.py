@@ -253,7 +253,7 @@ def _true_orientation(outcomes: Outcomes) -> Claim:
 
 
 def judge(outcomes: Outcomes) -> list[Claim]:
-    """Judge all claims by the experiments of one layout, in the order of the paper."""
+    """Judge all claims, Theorem 1 with (9) among them, by the experiments of one layout."""
     judges = (
         _position,
         _orientation,

@@ -25,6 +25,7 @@ RECEIVED = {
     },
     names.REGULATOR: {
         "tactile/contacts",
+        "joint_hold",
         "touch_rejected",
         "user_grasp_force",
         *map(names.wrench, FINGERS),
