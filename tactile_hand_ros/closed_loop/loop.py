@@ -241,7 +241,7 @@ class ClosedLoop:
 
     def _write(self, record: Record, row: int, answer: Answer) -> None:
         """Write what the hand answers to a tick, and what it has learned."""
-        command, target = answer.command, self.controller.accepted
+        command, target = answer.command, self.controller.targets.accepted
         record.grasp_force[row] = answer.grasp_force
         record.optimal_forces[row] = answer.optimal.forces
         record.command[row] = command.torque

@@ -174,6 +174,7 @@ class Controller:
     on a line. The spring of the hold is as stiff as the tick period allows; see `holds`.
 
     Attributes:
+        targets: Desired poses: the one in force, and those that wait.
         enabled: Whether the law acts; otherwise the hand only damps.
         touch_rejected: Whether nothing must be learned from touch, since joints and touch do not
             fit each other. False while the hand is open or disabled.
@@ -201,7 +202,7 @@ class Controller:
         self.enabled = True
         self.joints_held = False
         self._palm: Array | None = None  # rotation in the world by the imu
-        self._targets = TargetQueue(self.hand)
+        self.targets = TargetQueue(self.hand)
         self.reset()
 
     def configure(self, config: ControllerConfig) -> None:
@@ -225,7 +226,7 @@ class Controller:
         self._new_grasp()
         self._reference.reset()
         self._rates.reset()
-        self._targets.reset()
+        self.targets.reset()
         self._mode = Mode.NO_GRASP
         self._held: Held | None = None  # unknown
         self._posture = np.zeros(self.hand.joints)  # of the hold
@@ -285,21 +286,6 @@ class Controller:
         names = ", ".join(self.hand.part(~self._touching).finger_names)
         return f"no contact at {names}; closing, while the other fingers hold"
 
-    @property
-    def target(self) -> Target | None:
-        """The desired pose in force; None before the first tick."""
-        return self._targets.target
-
-    @property
-    def accepted(self) -> Target | None:
-        """The desired pose that became the target in the last step, or None."""
-        return self._targets.accepted
-
-    @property
-    def dropped(self) -> int:
-        """Number of desired poses that were dropped because too many waited."""
-        return self._targets.dropped
-
     def command(self, target: Target, stamp: int = 0) -> None:
         """Queue a desired pose; if `MAX_WAITING` wait already, the earliest is dropped.
 
@@ -313,7 +299,7 @@ class Controller:
         Raises:
             PoseError: If the present grasp cannot be moved there.
         """
-        self._targets.command(target, stamp, self._last_stamp, self._grasp)
+        self.targets.command(target, stamp, self._last_stamp, self._grasp)
 
     def schedule(self, target: Target, stamp: int, *, judged: bool) -> None:
         """Queue a desired pose as `command` does, without checking its reach now.
@@ -323,11 +309,7 @@ class Controller:
             stamp: First tick at which it is due, ns; zero or a past one means now.
             judged: Whether its reach was checked; otherwise it is checked when it is due.
         """
-        self._targets.schedule(target, stamp, self._last_stamp, judged=judged)
-
-    def forget_after(self, stamp: int) -> list[int]:
-        """Drop the desired poses for ticks after a stamp in ns, and return their stamps, ns."""
-        return self._targets.forget_after(stamp)
+        self.targets.schedule(target, stamp, self._last_stamp, judged=judged)
 
     def release(self) -> None:
         """Open the fingers along the normals of the last grasp.
@@ -377,7 +359,7 @@ class Controller:
         """
         dt = self._elapsed(stamp)
         rates = self._rates.step(stamp, theta, rates, self.config.hold.resolution)
-        self._targets.start_tick()
+        self.targets.start_tick()
         if not self.enabled:
             return self._disabled(theta, rates)
         if self._regrasp.active:
@@ -400,7 +382,7 @@ class Controller:
         try:
             pose = self._law.auxiliary_pose(tips, contacts)
             self._grasp = Grasp(theta, whole, pose)
-            refused = self._targets.take_due(stamp, self._grasp)
+            refused = self.targets.take_due(stamp, self._grasp)
             wanted = self._way_to_target(pose, dt)
             refused = self._stopped(theta, contacts, pose, grasp_force) or refused
             self._fit(theta, contacts, optimal_forces)
@@ -472,10 +454,10 @@ class Controller:
 
     def _way_to_target(self, pose: AuxiliaryPose, dt: float) -> Target:
         """Return the pose on the way to the target for this tick."""
-        assert self.target is not None
+        assert self.targets.target is not None
         self._law.acts = not self.joints_held
         passed = 0.0 if self.joints_held else dt  # the reference waits
-        return self._reference.step(self.target, pose, self.config.reference_time, passed)
+        return self._reference.step(self.targets.target, pose, self.config.reference_time, passed)
 
     def _stopped(
         self, theta: Array, contacts: Contacts, pose: AuxiliaryPose, grasp_force: float
@@ -488,7 +470,7 @@ class Controller:
         if not problem:
             return ""
         self._reference.reset()
-        self._targets.stay(pose)
+        self.targets.stay(pose)
         return f"the move ends here: {problem}; go back, or ask for a smaller turn"
 
     def _way_ends(self, theta: Array, contacts: Contacts, grasp_force: float) -> str:
@@ -548,7 +530,7 @@ class Controller:
         Before its first grasp a controller keeps the torque that acts on the joints. Another
         controller may have crashed with the object in the hand.
         """
-        self._targets.start_tick()
+        self.targets.start_tick()
         if not self.enabled:
             return self._disabled(theta, rates)
         self._enter(Mode.HOLD, theta)
@@ -662,7 +644,7 @@ class Controller:
             return False
         self._regrasp.finish()
         self._law.reset()
-        self._targets.start_grasp()
+        self.targets.start_grasp()
         self._hold_with(contacts.touching)
         self._new_grasp()
         return True

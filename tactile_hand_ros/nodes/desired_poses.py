@@ -63,22 +63,22 @@ class DesiredPoses:
         last = self._last_tick()
         if last is not None and stamp > last + DAY_NS:
             raise MessageError(far_ahead(stamp, last))
-        dropped = self._controller.dropped
+        dropped = self._controller.targets.dropped
         self._controller.command(target, stamp)
         self.fresh.append((target, stamp))
-        if self._controller.dropped > dropped:
+        if self._controller.targets.dropped > dropped:
             text = f"more than {MAX_WAITING} poses wait for their tick, the earliest is dropped"
             self._node.reject(names.DESIRED_POSE, text)
-            self._node.diagnostics.value("dropped_poses", self._controller.dropped)
+            self._node.diagnostics.value("dropped_poses", self._controller.targets.dropped)
 
     def before(self, tick: int) -> None:
         """Reject poses of another clock that came when the time of the ticks was not known yet."""
-        for stamp in self._controller.forget_after(tick + DAY_NS):
+        for stamp in self._controller.targets.forget_after(tick + DAY_NS):
             self._node.reject(names.DESIRED_POSE, far_ahead(stamp, tick))
 
     def after(self, tick: int) -> None:
         """Publish the pose that became the target at a tick [ns], if one did."""
-        pose = self._controller.accepted
+        pose = self._controller.targets.accepted
         if pose is not None:
             self._publisher.publish(self._codec.encode(pose.position, pose.quaternion, tick))
         self.fresh.clear()

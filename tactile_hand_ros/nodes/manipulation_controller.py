@@ -253,7 +253,7 @@ class ManipulationControllerNode(TactileNode[ControllerConfig]):
 
     def on_report(self) -> None:
         """Report mode, distance to the target and the margins of the grasp."""
-        self._report.report(self._controller.target)
+        self._report.report(self._controller.targets.target)
         warning = self._controller.warning
         self.diagnostics.judge("stiffness", bool(warning), warning, WARN)
         missing = self._controller.missing

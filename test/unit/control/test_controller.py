@@ -39,7 +39,7 @@ def test_without_a_target_the_grasp_is_kept_where_it_was_first_seen(bench):
     back = bench.step(contacts=shifted).torque - first.torque
     pulls = bench.controller.hand.fingertips(bench.theta).linear.sum(axis=0)
     assert (pulls @ back)[0] < 0.0 and np.linalg.norm(back) > 1e-3
-    np.testing.assert_allclose(bench.controller.target.position, bench.centroid)
+    np.testing.assert_allclose(bench.controller.targets.target.position, bench.centroid)
 
 
 def test_a_target_keeps_what_is_nan_as_the_grasp_is_when_it_takes_effect(bench):
@@ -50,13 +50,13 @@ def test_a_target_keeps_what_is_nan_as_the_grasp_is_when_it_takes_effect(bench):
     moved_on = bench.elsewhere(0.0, 0.002, 0.0, turn=(0.05, 0.0, 0.0))
     bench.step(2)
     pose = bench.step(2, contacts=moved_on).pose
-    kept = bench.controller.target
+    kept = bench.controller.targets.target
     np.testing.assert_array_equal(kept.position, there)
     np.testing.assert_array_equal(kept.orientation, rotation_from_quaternion(kept.quaternion))
     np.testing.assert_allclose(kept.orientation, pose.orientation, atol=1e-12)
     bench.step(contacts=moved_on)
-    np.testing.assert_array_equal(bench.controller.target.position, pose.position)
-    np.testing.assert_array_equal(bench.controller.target.orientation, turn)
+    np.testing.assert_array_equal(bench.controller.targets.target.position, pose.position)
+    np.testing.assert_array_equal(bench.controller.targets.target.orientation, turn)
 
 
 def test_a_grasp_force_beyond_the_joints_keeps_its_shape(bench):
@@ -79,8 +79,8 @@ def test_of_several_targets_the_latest_due_one_counts(bench):
     wanted, accepted = [], []
     for _ in range(4):
         bench.step()
-        wanted.append(bench.controller.target.position[0] - bench.centroid[0])
-        accepted.append(bench.controller.accepted)
+        wanted.append(bench.controller.targets.target.position[0] - bench.centroid[0])
+        accepted.append(bench.controller.targets.accepted)
     np.testing.assert_allclose(wanted, [0.02, 0.02, 0.03, 0.03], atol=1e-12)
     took = [target.position[0] - bench.centroid[0] if target else None for target in accepted]
     assert took[1] is None and took[3] is None
@@ -91,28 +91,32 @@ def test_of_too_many_waiting_targets_the_earliest_are_dropped_and_counted(bench)
     bench.step()
     for tick in range(MAX_WAITING, 0, -1):
         bench.controller.command(bench.target(1e-5 * tick, 0.0, 0.0), stamp=(tick + 2) * TICK)
-    assert bench.controller.dropped == 0
+    assert bench.controller.targets.dropped == 0
     for _ in range(2):
         bench.controller.command(bench.target(0.03, 0.0, 0.0), stamp=10**6 * TICK)
-    assert bench.controller.dropped == 2
+    assert bench.controller.targets.dropped == 2
     bench.stamp = 4 * TICK
     bench.step()  # the first two are gone
-    np.testing.assert_array_equal(bench.controller.target.position, bench.centroid)
+    np.testing.assert_array_equal(bench.controller.targets.target.position, bench.centroid)
     bench.step()
-    np.testing.assert_allclose(bench.controller.target.position, bench.target(3e-5, 0, 0)[0])
+    np.testing.assert_allclose(
+        bench.controller.targets.target.position, bench.target(3e-5, 0, 0)[0]
+    )
     bench.controller.reset()
-    assert bench.controller.dropped == 2
+    assert bench.controller.targets.dropped == 2
 
 
 def test_targets_after_a_tick_can_be_forgotten(bench):
     bench.step()
     for tick in (7, 8, 9, 9):
         bench.controller.command(bench.target(1e-3 * tick, 0.0, 0.0), stamp=tick * TICK)
-    assert bench.controller.forget_after(8 * TICK) == [9 * TICK, 9 * TICK]
-    assert bench.controller.forget_after(8 * TICK) == []
+    assert bench.controller.targets.forget_after(8 * TICK) == [9 * TICK, 9 * TICK]
+    assert bench.controller.targets.forget_after(8 * TICK) == []
     bench.stamp = 20 * TICK
     bench.step()
-    np.testing.assert_allclose(bench.controller.target.position, bench.target(8e-3, 0, 0)[0])
+    np.testing.assert_allclose(
+        bench.controller.targets.target.position, bench.target(8e-3, 0, 0)[0]
+    )
 
 
 def test_a_law_without_a_finite_torque_gives_the_hold(bench):
@@ -128,7 +132,9 @@ def test_a_target_out_of_reach_is_refused_at_once_and_the_last_stays(bench):
     with pytest.raises(PoseError, match=r"out of reach: finger_\d would stay \d+ mm short"):
         bench.controller.command(bench.target(0.0, 0.0, 2.0))
     assert bench.step().reason == ""
-    np.testing.assert_allclose(bench.controller.target.position[0], bench.centroid[0] + 0.05)
+    np.testing.assert_allclose(
+        bench.controller.targets.target.position[0], bench.centroid[0] + 0.05
+    )
     bench.controller.schedule(bench.target(0.0, 0.0, 2.0), 0, judged=False)
     assert "out of reach" in bench.step().reason
 
@@ -141,14 +147,14 @@ def test_a_move_ends_where_the_grasp_force_nears_its_limit():
     bench.controller.command(target)
     assert not bench.step(100, grasp_force=15.9).reason
     assert "the move ends here: k_f = 16.1 N is near" in bench.step(grasp_force=16.1).reason
-    stopped = bench.controller.target
+    stopped = bench.controller.targets.target
     np.testing.assert_array_equal(stopped.position, bench.centroid)
     assert not bench.step(500, grasp_force=10.0).reason
-    assert bench.controller.target is stopped
+    assert bench.controller.targets.target is stopped
     bench.controller.command(target)
     assert not bench.step(2000).reason  # it may be asked for again
     assert not bench.step(grasp_force=19.0).reason  # and one that has arrived stays there
-    assert bench.controller.target is target
+    assert bench.controller.targets.target is target
 
 
 @pytest.mark.parametrize(
@@ -398,7 +404,7 @@ def test_reset_forgets_everything(interrupt):
     bench, fresh = strained(interrupt), Bench(**EVERYTHING)
     bench.controller.command(bench.target(0.0, 0.05, 0.0), stamp=bench.stamp + 3 * TICK)
     bench.controller.reset()
-    assert bench.controller.target is None and not bench.controller.is_open
+    assert bench.controller.targets.target is None and not bench.controller.is_open
     with pytest.raises(GraspError, match="there is no grasp to release"):
         bench.controller.release()
     fresh.stamp = bench.stamp
@@ -418,7 +424,7 @@ def test_open_fingers_stay_open_and_closing_ones_go_on_when_the_grasp_is_forgott
     if closing:
         bench.controller.grasp()
     bench.controller.forget()
-    assert bench.controller.target is None
+    assert bench.controller.targets.target is None
     assert bench.step(contacts=bench.without_finger(0)).mode is Mode.OPEN
     fresh.stamp = bench.stamp
     given = {"contacts": bench.elsewhere(0.0, 0.01, 0.02, turn=(3.0, 0.2, 0.1)), "forces": FORCES}
@@ -455,7 +461,7 @@ def test_after_a_reset_time_may_restart():
     bench.controller.command(bench.target(0.02, 0.0, 0.0), stamp=4 * TICK)
     for expected in (0.0, 0.0, 0.0, 0.0, 0.02):
         bench.step()
-        shift = bench.controller.target.position - bench.centroid
+        shift = bench.controller.targets.target.position - bench.centroid
         np.testing.assert_allclose(shift, [expected, 0.0, 0.0], atol=1e-12)
 
 
@@ -470,7 +476,7 @@ def test_a_new_grasp_keeps_nothing_of_the_old_one():
         assert answer.mode is Mode.DRIVE and not bench.controller.is_open
         np.testing.assert_array_equal(answer.torque, expected.torque)
         np.testing.assert_array_equal(answer.pose.orientation, expected.pose.orientation)
-    target = bench.controller.target
+    target = bench.controller.targets.target
     np.testing.assert_allclose(target.position, given["contacts"].centroid, atol=1e-12)
 
 

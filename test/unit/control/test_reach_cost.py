@@ -183,7 +183,7 @@ def test_fingers_with_joints_to_spare_are_solved_to_the_end(tmp_path):
 
 def wanted(bench):
     """Return how far along x the grasp shall be, m."""
-    return bench.controller.target.position[0] - bench.centroid[0]
+    return bench.controller.targets.target.position[0] - bench.centroid[0]
 
 
 def along(bench, x):

@@ -221,7 +221,7 @@ def test_a_thousand_poses_may_wait_and_one_is_judged_in_a_tick_or_a_silence():
         with pytest.raises(PoseError):
             bench.controller.command(far)
         bench.controller.command(far)
-        bench.controller.forget_after(-1)
+        bench.controller.targets.forget_after(-1)
         following()
     with pytest.raises(PoseError):
         bench.controller.command(far)

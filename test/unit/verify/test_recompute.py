@@ -319,8 +319,8 @@ def test_poses_that_wait_and_overtake_each_other_are_followed_as_they_were(tmp_p
             if received == row:
                 loop.controller.command(Target(np.array(position), np.eye(3)), stamp)
         loop.tick(record, row)
-        if loop.controller.accepted is not None:
-            position = loop.controller.accepted.position
+        if loop.controller.targets.accepted is not None:
+            position = loop.controller.targets.accepted.position
             pose = pose_stamped(row * TICK, position, (0.0, 0.0, 0.0, 1.0))
             accepted.append((row, "desired_pose", pose))
     assert [row for row, *_ in accepted] == [1, 80, 100]
