@@ -79,7 +79,7 @@ class CapturedProcess(ChildProcess):
         env: Mapping[str, str] | None = None,
     ) -> None:
         """Start it; see `ChildProcess`."""
-        self._files = [tempfile.TemporaryFile("w+b") for _ in range(2)]
+        self._files = [tempfile.TemporaryFile("w+b") for _ in range(2)]  # noqa: SIM115 (they live as long as it)
         # With a fault handler, SIGABRT prints where a process hangs.
         env = {"PYTHONFAULTHANDLER": "1", **(env or {})}
         super().__init__(command, *self._files, env=env)

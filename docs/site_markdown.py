@@ -76,11 +76,11 @@ def _api() -> list[str]:
 
 
 class _Site(Extension):
-    def extendMarkdown(self, md: Any) -> None:  # noqa: N802
+    def extendMarkdown(self, md: Any) -> None:
         md.preprocessors.register(_Generated(md), "generated", _BEFORE_FENCES)
         md.postprocessors.register(_Formulas(md), "mathml", _AFTER_RAW_HTML)
 
 
-def makeExtension(**options: Any) -> Extension:  # noqa: N802
+def makeExtension(**options: Any) -> Extension:
     """Return the extension; Markdown calls this."""
     return _Site(**options)

@@ -397,7 +397,9 @@ def _check_inertia(model: pin.Model, urdf: str) -> None:
     """
     posture = 0.3 + 0.1 * np.arange(model.nv)  # any, but not stretched
     inertia = mirrored(pin.crba(model, model.createData(), posture))
-    light = [name for name, own in zip(model.names[1:], inertia.diagonal()) if not own > 0.0]
+    light = [
+        name for name, own in zip(model.names[1:], inertia.diagonal(), strict=True) if not own > 0.0
+    ]
     if light:
         raise HandModelError(
             f"joint '{light[0]}' of '{urdf}' moves no mass; give the links behind it an <inertial> "

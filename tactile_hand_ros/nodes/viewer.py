@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from contextlib import suppress
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -252,7 +253,7 @@ def _corners_of(config: ObjectConfig) -> list[Array]:
     return [
         solid.vertices[index]
         for face in solid.face_corners
-        for pair in zip(face[1:], face[2:], strict=False)
+        for pair in pairwise(face[1:])
         for index in (face[0], *pair)
     ]
 

@@ -71,7 +71,7 @@ def child_environment() -> dict[str, str]:
     """
     environment = dict(os.environ)
     inherited = environment.get("PATH", os.defpath)
-    environment["PATH"] = os.pathsep.join([os.path.join(sys.prefix, "bin"), inherited])
+    environment["PATH"] = os.pathsep.join([str(Path(sys.prefix, "bin")), inherited])
     return environment
 
 

@@ -63,9 +63,9 @@ class StampMatcher:
             All values of the tick in the order of the keys when this one made it complete.
         """
         last = self.last
-        if last is not None and stamp_ns <= last:
-            if stamp_ns == last or (stamp_ns > 0 and last - stamp_ns <= _SECOND):
-                return None
+        is_old = last is not None and 0 < stamp_ns <= last and last - stamp_ns <= _SECOND
+        if is_old or stamp_ns == last:
+            return None
         values = self.pending.setdefault(stamp_ns, {})
         values[key] = value
         if len(values) == len(self.keys):
@@ -163,7 +163,9 @@ def chosen(stamps: Sequence[int], previous: int | None) -> list[int]:
         stamps: What waits, oldest first [ns].
         previous: The tick before them [ns], None if there was none.
     """
-    ranks = [rank(stamp, before) for stamp, before in zip(stamps, [previous, *stamps])]
+    ranks = [
+        rank(stamp, before) for stamp, before in zip(stamps, [previous, *stamps], strict=False)
+    ]
     kept: list[int] = []
     highest = -1
     for stamp, own in zip(reversed(stamps), reversed(ranks), strict=True):

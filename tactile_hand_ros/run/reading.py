@@ -139,7 +139,9 @@ def sections(messages: Mapping[str, TopicMessages], states: str) -> list[dict[st
     """
     stamps = [header_stamp(data) for data in messages[states].data]
     logged = messages[states].log_times[1:]
-    starts = [at for at, before, after in zip(logged, stamps, stamps[1:]) if after < before]
+    starts = [
+        at for at, before, after in zip(logged, stamps, stamps[1:], strict=False) if after < before
+    ]
     bounds = {
         topic: [0, *(_first_of_section(each, start) for start in starts), len(each.data)]
         for topic, each in messages.items()

@@ -47,7 +47,7 @@ class Records:
         self._found = {}
         work = Parallel(n_jobs=-1, return_as="generator")
         runs = (delayed(run_scenario)(name, changes_of(name, is_on)) for name, is_on in cases)
-        self._coming = zip(cases, work(runs))
+        self._coming = zip(cases, work(runs), strict=True)
 
     def __getitem__(self, key):
         while key not in self._found:

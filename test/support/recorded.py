@@ -163,7 +163,7 @@ def write_tick(bag: RunWriter, record: Record, row: int, at: int, prefix: str = 
             bag.write(prefix + name, content, at)
 
     def write_joints(name: str, joint_names: list[str], *arrays: Any) -> None:
-        fields = dict(zip(("position", "velocity", "effort"), arrays))
+        fields = dict(zip(("position", "velocity", "effort"), arrays, strict=False))
         values = {field: array[row] for field, array in fields.items()}
         write(name, joints(stamp, joint_names, **values))
 

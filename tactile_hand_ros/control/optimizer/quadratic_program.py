@@ -319,7 +319,7 @@ def minimum_cost(
     Returns:
         The multipliers y, shape (m,), and whether both are determined.
     """
-    size, n = rows.shape
+    size = len(rows)
     multipliers = np.zeros(size)
     factor, determined = factorize(schur_complement(rows, weights))
     if not determined:

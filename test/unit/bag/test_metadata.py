@@ -83,7 +83,7 @@ def test_file_of_a_finished_bag() -> None:
     metadata = BagMetadata("run_0.mcap", 1000, 25, [wrench], custom)
     written = yaml.safe_load(metadata.file_text())
     assert written == yaml.safe_load(AT_CLOSE)
-    assert [*written["rosbag2_bagfile_information"]][0] == "version"  # as rosbag2 looks first
+    assert next(iter(written["rosbag2_bagfile_information"])) == "version"  # as rosbag2 looks first
     inside = yaml.safe_load(metadata.record()["serialized_metadata"])
     assert written == {"rosbag2_bagfile_information": inside}
 

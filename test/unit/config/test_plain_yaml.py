@@ -18,7 +18,8 @@ from tactile_hand_ros.config.plain_yaml import (
 from tactile_hand_ros.errors import ConfigurationError
 
 LAUGHS = "name: &a [ha, ha, ha, ha, ha, ha, ha, ha, ha]\n" + "".join(
-    f"{new}: &{new} [{', '.join([f'*{old}'] * 9)}]\n" for old, new in zip("abcdefgh", "bcdefghi")
+    f"{new}: &{new} [{', '.join([f'*{old}'] * 9)}]\n"
+    for old, new in zip("abcdefgh", "bcdefghi", strict=True)
 )
 
 

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The controller: driving, holding, disabled, targets now and later, and what it refuses."""
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from support.controllers import REST, TABLE_I, TICK, Bench
@@ -290,7 +292,7 @@ def test_midpoint_hold_extrapolates_by_half_a_tick():
         bench.grasp_force = plain.grasp_force = force
         torques.append((bench.step().torque, plain.step().torque))
     np.testing.assert_array_equal(torques[0][0], torques[0][1])
-    for (_, before), (ahead, now) in zip(torques, torques[1:]):
+    for (_, before), (ahead, now) in pairwise(torques):
         np.testing.assert_allclose(ahead, now + 0.5 * (now - before), atol=1e-12)
 
 

@@ -210,7 +210,7 @@ def test_inertia_weight_and_the_time_between_ticks_count():
     hand = Hand.load("paper", gravity=np.array([10.0, -20.0, -90.0]))
     random, stamps = np.random.default_rng(2), (0.0, 2.0, 6.0, 7.0)
     before, seen = np.zeros(9), []
-    for last, stamp in zip((-2.0, *stamps), stamps):
+    for last, stamp in zip((-2.0, *stamps), stamps, strict=False):
         rates = before + random.uniform(-0.1, 0.1, 9)
         terms = hand.dynamics(STATE.theta, rates)
         moving = terms[1] @ (rates - before) / (1e-3 * (stamp - last)) + terms[2]

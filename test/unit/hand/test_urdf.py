@@ -32,7 +32,7 @@ def chain(names, kinds, inside=""):
     return links + "".join(
         f'<joint name="{name}" type="{kind}"><parent link="l{i}"/><child link="l{i + 1}"/>'
         f"{inside}</joint>"
-        for i, (name, kind) in enumerate(zip(names, kinds))
+        for i, (name, kind) in enumerate(zip(names, kinds, strict=True))
     )
 
 

@@ -41,8 +41,8 @@ def test_noise_has_its_size_and_repeats_after_a_reset():
     assert np.std([r.theta for r in first], axis=0) == pytest.approx(0.003, rel=0.1)
     assert np.std([r.effort for r in first], axis=0) == pytest.approx(0.02, rel=0.1)
     sensor.reset()
-    for before, again in zip(first, readings()):
-        for a, b in zip(before, again):
+    for before, again in zip(first, readings(), strict=True):
+        for a, b in zip(before, again, strict=True):
             np.testing.assert_array_equal(a, b)
 
 

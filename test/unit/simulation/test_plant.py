@@ -258,7 +258,7 @@ def test_an_object_presses_on_a_finger_at_its_stop_as_on_a_wall():
     scenario = load_scenario("human_hold")
     world = Plant(scenario.plant)
     state = world.state
-    lower, upper = world.hand.position_limits
+    _, upper = world.hand.position_limits
     upper[:] = np.minimum(upper, state.theta)  # joints can only open from here
     closing = np.tile([0.2, 0.0, 0.2], 3)
     for _ in range(100):

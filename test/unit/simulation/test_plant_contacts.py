@@ -95,7 +95,7 @@ def test_contact_forces_balance_both_sides(friction):
     assert after.contacts.touching.all() and np.linalg.norm(after.velocity) > 1e-3
     forces = forces_in_palm(after)
     linear, angular = (
-        (b - a) / step for a, b in zip(momentum(world, before), momentum(world, after))
+        (b - a) / step for a, b in zip(momentum(world, before), momentum(world, after), strict=True)
     )
     wrench = grasp_map(after.contacts.positions, after.position) @ forces.ravel()
     external = np.array([0.5, 0.3, -0.2 - 0.4, 0.02, -0.01, 0.03])
@@ -200,7 +200,7 @@ def test_contacts_roll_equally_far_over_tip_and_face():
     before = on_both(world.state)
     for _ in range(500):
         after = on_both(world.advance(torque))
-        arcs += [np.linalg.norm(b - a, axis=1) for a, b in zip(before, after)]
+        arcs += [np.linalg.norm(b - a, axis=1) for a, b in zip(before, after, strict=True)]
         before = after
     assert arcs.max() > 0.005
     # Their difference is what `slid` shows, of second order in the step.
