@@ -338,7 +338,9 @@ class ManipulationLaw:
         if not observes:
             return self._integral if self._integrates else None
         assert forces is not None
-        return self._integral + self._observer.step(c.observer, contacts, forces, dt)
+        # What a guard carries is to be carried from the first tick that acts again.
+        passed = dt if self.acts else np.inf
+        return self._integral + self._observer.step(c.observer, contacts, forces, passed)
 
     def _integrate(self, error: Array, dt: float) -> None:
         """Integrate the error; force and torque are each held inside their limit (anti-windup)."""

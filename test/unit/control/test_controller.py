@@ -583,6 +583,22 @@ def test_while_the_joints_are_held_nothing_winds_up(wound_up):
     assert np.abs(free[-1] - held).max() > 0.002
 
 
+def test_what_a_guard_carries_is_carried_from_the_first_tick_that_acts_again():
+    """A load observed slowly from then on would sag, and swing a light hand at a low rate."""
+    light, heavy = np.array([[0.1, 3.0, 0.2]] * 3), np.array([[0.1, 5.0, -1.3]] * 3)
+    settled, held = (Bench(law__observer__time=0.05) for _ in range(2))
+    settled.step(800, forces=heavy)
+    held.step(800, forces=light)
+    before = held.step(forces=heavy).torque
+    held.controller.joints_held = True
+    held.step(forces=heavy)
+    held.controller.joints_held = False
+    after = held.step(forces=heavy).torque
+    wanted = settled.step(forces=heavy).torque
+    assert np.abs(before - wanted).max() > 0.1
+    np.testing.assert_allclose(after, wanted, atol=1e-6)
+
+
 def test_after_a_hold_the_reference_goes_on_where_and_as_fast_as_it_was():
     """Many short holds would otherwise take its lead against a load each time."""
 
