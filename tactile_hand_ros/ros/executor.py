@@ -200,6 +200,8 @@ class WaitSetExecutor(SingleThreadedExecutor):
         if time.monotonic_ns() >= self._rare_due:
             while self._is_running() and self._serve(0.0):
                 pass
+            if not self._is_running():  # its guard condition may have woken the public executor
+                self._stale = True
             self._rare_due = time.monotonic_ns() + RARE_PERIOD_NS
 
     def _call_afterwards(self) -> None:

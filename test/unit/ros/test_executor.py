@@ -6,6 +6,7 @@ from __future__ import annotations
 import signal
 import sys
 import textwrap
+import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -285,3 +286,21 @@ def test_a_signal_ends_a_node_quietly_and_one_that_waits_takes_no_processor_time
         known = (": ready", "publisher's context is invalid, at")
         assert [x for x in process.stderr.splitlines() if not any(k in x for k in known)] == []
         assert "closed" in process.stdout
+
+
+class EndedWhileServing(WaitSetExecutor):
+    """An executor that another thread shuts down while the public executor waits."""
+
+    def _serve(self, timeout_sec: float | None) -> bool:
+        threading.Timer(0.1, self.shutdown).start()
+        return super()._serve(10.0)
+
+
+def test_a_shutdown_that_the_public_executor_notices_first_ends_the_loop(nodes: list[Any]) -> None:
+    """The guard condition wakes one of the two only."""
+    executor = EndedWhileServing(context=nodes[0].context)
+    executor.add_node(nodes[0])
+    spinning = threading.Thread(target=executor.spin, daemon=True)
+    spinning.start()
+    spinning.join(timeout=20.0)
+    assert not spinning.is_alive()
