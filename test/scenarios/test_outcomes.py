@@ -24,7 +24,7 @@ LOST_WITHOUT = "lift slippery pull heavy user_grip".split()
 OF_HUMAN_SIZE = "human_hold human_lift human_turn".split()
 SURVIVABLE = {name: name != "crush_limit" for name in SCENARIOS}
 # Until the hand has come to rest after the last event; `hold` until all friction is explored.
-WITH_END = {"hold": 15.0, "forearm": 6.5, "pull": 7.0, "user_grip": 7.2, "shake": 6.5}
+WITH_END = {"hold": 15.0, "pull": 7.0, "user_grip": 7.2, "shake": 6.5}
 WITH_END |= {"lost_contact": 5.5, "heavy": 5.0, "slippery": 4.5, "lift": 4.5, "crush_limit": 4.5}
 WITH_END |= {"human_hold": 6.0, "human_lift": 4.5}
 # Without: until the object has gone, or as long as shows that it stays.
