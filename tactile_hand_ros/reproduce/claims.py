@@ -12,9 +12,12 @@ from typing import Any
 import numpy as np
 
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
+from tactile_hand_ros.control.contact import hand_jacobian
+from tactile_hand_ros.control.laws import LAWS, LawInput
 from tactile_hand_ros.run import derived
 from tactile_hand_ros.run.result import RunData
 from tactile_hand_ros.scenario.scenario import Scenario, load_scenario
+from tactile_hand_ros.simulation.plant import Plant
 
 LAYOUTS = ("three_faces", "pinch")
 
@@ -240,6 +243,24 @@ def _kawamura(outcomes: Outcomes) -> Claim:
     )
 
 
+def _stiffness(outcomes: Outcomes) -> Claim:
+    eight, fourteen = outcomes["kawamura"].scenario, outcomes["optimal"].scenario
+    gain = fourteen.manipulation_controller.law.k_p
+    fingers = len(outcomes["optimal"].record.finger_names)
+    tips, contacts, other = (
+        np.diag(translational_stiffness(*of))
+        for of in ((eight, "tips"), (eight, "contacts"), (fourteen, "contacts"))
+    )
+    listed = ", ".join(f"{value:.2f}" for value in contacts)
+    return Claim(
+        "below (10)",
+        "K_p is formed from the gains of (8): the same k_p pulls alike in (8) and (14).",
+        f"(8) pulls with {tips.mean():.2f} N/m at the tips ({fingers} times k_p) and {listed} N/m "
+        f"(x, y, z) at the contacts, (14) with {other.mean():.2f} N/m",
+        _verdict(bool(np.allclose(contacts, gain, rtol=0.01))),
+    )
+
+
 def _true_orientation(outcomes: Outcomes) -> Claim:
     turned = outcomes["optimal"].metrics.max_object_rotation_in_grasp_rad
     moved = outcomes["optimal"].metrics.max_object_displacement_in_grasp_m
@@ -266,9 +287,34 @@ def judge(outcomes: Outcomes) -> list[Claim]:
         _internal_force,
         _rolling,
         _kawamura,
+        _stiffness,
         _true_orientation,
     )
     return [each(outcomes) for each in judges]
+
+
+def translational_stiffness(scenario: Scenario, at: str = "tips") -> derived.Array:
+    """Return the force on the object per metre of position error, shape (3, 3), N/m.
+
+    The forces are those whose joint torques equal the drive of the law at the start of the run.
+
+    Args:
+        scenario: Hand, object and law.
+        at: Where the forces act: ``tips``, the centers of which (8) is written for, or
+            ``contacts`` with the object.
+    """
+    plant = Plant(scenario.plant)
+    contacts, tips = plant.state.contacts, plant.hand.fingertips(plant.state.theta)
+    config = scenario.manipulation_controller.law
+    law = LAWS[config.name](config, plant.hand.radii)
+    law.seen = LawInput(tips, contacts, np.zeros((plant.hand.fingers, 3)), grasp_force=0.0)
+    points = tips.positions if at == "tips" else contacts.positions
+    frames = np.tile(np.eye(3), (len(points), 1, 1))
+    jacobian = hand_jacobian(tips, points, frames).reshape(3 * len(points), -1)
+    per_metre = config.k_p * np.eye(3, 6)  # the wrench of an error of 1 m along each axis
+    torques = np.transpose([law.drive(wrench) for wrench in per_metre])
+    forces = np.linalg.lstsq(jacobian.T, torques, rcond=None)[0]
+    return np.asarray(forces.reshape(-1, 3, 3).sum(axis=0))
 
 
 def _until_loss(run: ExperimentRun) -> derived.Array:

@@ -12,8 +12,10 @@ from tactile_hand_ros.reproduce.claims import (
     LAYOUTS,
     ExperimentRun,
     run_experiment,
+    translational_stiffness,
 )
 from tactile_hand_ros.run import derived
+from tactile_hand_ros.scenario.scenario import load_scenario
 
 LAWS = ("optimal", "contact", "kawamura")
 
@@ -92,3 +94,15 @@ def test_kawamuras_law_starts_with_the_forces_of_theorem_1() -> None:
     record = outcome("kawamura", duration=3.5).record
     distances = np.array([0.1902, 0.1902, 0.1902 - 0.1902 / 3.0])
     np.testing.assert_allclose(record.forces[1, :, 1], 10.0 * distances / 0.18, rtol=0.02)
+
+
+@pytest.mark.parametrize("layout", LAYOUTS)
+@pytest.mark.parametrize(
+    ("name", "at", "expected"), [("kawamura", "tips", 9.0), ("paper", "contacts", 3.0)]
+)
+def test_kawamuras_law_pulls_once_a_finger(
+    layout: str, name: str, at: str, expected: float
+) -> None:
+    """Its translational stiffness is k times k_p, that of (14) is k_p."""
+    stiffness = translational_stiffness(load_scenario(name, {"layout": layout}), at)
+    np.testing.assert_allclose(stiffness, expected * np.eye(3), atol=1e-9)
