@@ -1,11 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The nodes' own loop: one wait set, built once, and messages taken directly.
+"""The nodes' own loop: wait sets that are built once, and messages taken directly.
 
 The standard executors of rclpy build a new wait set and a coroutine per callback at every
-wake-up, which costs more than the message itself. `WaitSetExecutor` keeps one wait set and calls
-subscriptions, timers and guard conditions directly. Everything rare (services, clients, QoS
-events) has its turn every `RARE_PERIOD_NS` in the inherited, public `SingleThreadedExecutor`.
-Callbacks are plain functions: coroutines are not awaited.
+wake-up, which costs more than the message itself. `WaitSetExecutor` keeps a wait set and calls
+subscriptions, timers and guard conditions directly. Services and clients have one of their own,
+which is looked at every `RARE_PERIOD_NS`; what is there is served by the inherited, public
+`SingleThreadedExecutor`, and so are the QoS events of each node every `EVENT_PERIOD_NS`. Callbacks
+are plain functions: coroutines are not awaited.
 
 Pieces of rclpy (Jazzy) that are not public:
 
@@ -52,7 +53,12 @@ _BURST = 100
 """Messages taken from one subscription before the others get their turn."""
 
 RARE_PERIOD_NS = 50_000_000
-"""Longest time a service request or QoS event waits [ns]: looking for them costs a millisecond."""
+"""Longest time a service request waits [ns]."""
+
+EVENT_PERIOD_NS = 1_000_000_000
+"""Longest time a QoS event waits [ns]: to look for those of a node costs 0.3 ms."""
+
+_KINDS = ("subscription", "guard_condition", "timer", "client", "service")
 
 
 def spin(nodes: Node | Sequence[Node], executor: Executor | None = None) -> None:
@@ -80,7 +86,7 @@ def spin(nodes: Node | Sequence[Node], executor: Executor | None = None) -> None
 
 
 class _WaitSet:
-    """The frequent entities of some nodes, held alive, and one native wait set over them."""
+    """Entities of some nodes, held alive, and one native wait set over them."""
 
     def __init__(
         self, entities: Mapping[str, Iterable[Any]], context: Context, stack: ExitStack
@@ -101,8 +107,7 @@ class _WaitSet:
                 self._known[each.handle.pointer] = each
                 held.append((kind, each.handle))
         count = Counter(kind for kind, _ in held)
-        sizes = [count[kind] for kind in ("subscription", "guard_condition", "timer")]
-        self._native = _rclpy.WaitSet(*sizes, 0, 0, 0, context.handle)
+        self._native = _rclpy.WaitSet(*(count[kind] for kind in _KINDS), 0, context.handle)
         stack.enter_context(self._native)
         self._adding = [(getattr(self._native, f"add_{kind}"), handle) for kind, handle in held]
 
@@ -131,7 +136,7 @@ class WaitSetExecutor(SingleThreadedExecutor):
         """Create the executor for a context, by default the global one."""
         self._stale = True
         self._spins = False
-        self._rare_due = 0
+        self._rare_due = self._events_due = self._turn = 0
         self._afterwards: list[Callable[[], None]] = []
         super().__init__(context=context)
 
@@ -163,22 +168,28 @@ class WaitSetExecutor(SingleThreadedExecutor):
         """Execute callbacks until the context or the executor is shut down."""
         while self._is_running():
             with ExitStack() as stack:
-                waiting = self._entities(stack)
+                frequent, rare = self._wait_sets(stack)
                 works = [node.work for node in self.get_nodes() if hasattr(node, "work")]
                 is_busy = bool(works)
                 while not self._stale:
-                    self._step(waiting, 0 if is_busy else RARE_PERIOD_NS)
+                    self._step(frequent, 0 if is_busy else RARE_PERIOD_NS)
+                    self._look_for_rare(rare)
                     is_busy = any([work() for work in works])
 
-    def _entities(self, stack: ExitStack) -> _WaitSet:
+    def _wait_sets(self, stack: ExitStack) -> tuple[_WaitSet, _WaitSet]:
+        """Return those of what is called directly, and of services and clients."""
         self._stale, self._spins = False, False
         nodes = self.get_nodes()
         guards = [self._guard, self._sigint_gc, *(g for node in nodes for g in node.guards)]
         own = [s for node in nodes for s in node.subscriptions if self.can_execute(s)]
         timers = [timer for node in nodes for timer in node.timers]
         self._spins = True
-        kinds = {"subscription": own, "timer": timers, "guard_condition": guards}
-        return _WaitSet(kinds, self._context, stack)
+        frequent = {"subscription": own, "timer": timers, "guard_condition": guards}
+        rare = {
+            "client": [client for node in nodes for client in node.clients],
+            "service": [service for node in nodes for service in node.services],
+        }
+        return _WaitSet(frequent, self._context, stack), _WaitSet(rare, self._context, stack)
 
     def _step(self, waiting: _WaitSet, limit_ns: int) -> None:
         """Wait once, at most for a time [ns], and serve what is ready."""
@@ -197,12 +208,24 @@ class WaitSetExecutor(SingleThreadedExecutor):
         for subscription in waiting.ready("subscription"):
             self._drain(subscription)
         self._call_afterwards()
-        if time.monotonic_ns() >= self._rare_due:
-            while self._is_running() and self._serve(0.0):
-                pass
-            if not self._is_running():  # its guard condition may have woken the public executor
-                self._stale = True
-            self._rare_due = time.monotonic_ns() + RARE_PERIOD_NS
+
+    def _look_for_rare(self, rare: _WaitSet) -> None:
+        """Serve services and clients, and the QoS events of one node after the other, when due."""
+        now, nodes = time.monotonic_ns(), self.get_nodes()
+        if now < self._rare_due or self._stale or not nodes:
+            return
+        self._rare_due = now + RARE_PERIOD_NS
+        rare.wait(0)
+        if not rare.ready("service") and not rare.ready("client"):
+            if now < self._events_due:
+                return
+            self._events_due = now + EVENT_PERIOD_NS // len(nodes)
+            self._turn += 1
+            nodes = [nodes[self._turn % len(nodes)]]
+        while self._is_running() and self._serve(0.0, nodes):
+            pass
+        if not self._is_running():  # its guard condition may have woken the public executor
+            self._stale = True
 
     def _call_afterwards(self) -> None:
         if self._afterwards:
@@ -232,10 +255,10 @@ class WaitSetExecutor(SingleThreadedExecutor):
         self._serve(timeout_sec)
         self._call_afterwards()
 
-    def _serve(self, timeout_sec: float | None) -> bool:
-        """Return whether the public executor has found something to serve."""
+    def _serve(self, timeout_sec: float | None, nodes: list[Node] | None = None) -> bool:
+        """Return whether the public executor has found something to serve, of all nodes or some."""
         try:
-            task, *_ = self.wait_for_ready_callbacks(timeout_sec)
+            task, *_ = self.wait_for_ready_callbacks(timeout_sec, nodes)
             task()
             task.result()  # raises what the callback raised
         except (TimeoutException, ShutdownException):

@@ -24,6 +24,7 @@ from tactile_hand_ros.ros.runner import run_node
 _QUEUE_DEPTH = 5000  # messages that a topic's queue holds between two visits
 _VISIT_PERIOD = 0.01  # s between two visits to the queues of the subscriptions
 _DISCOVERY_PERIOD = 0.05  # s between two looks at the graph for new topics
+_SHARED_PERIOD = 0.2  # the same where a look delays the ticks of a hand in the same process
 _FLUSH_PERIOD = 0.05  # s, longest time a message waits in memory before it is written
 _QUIET = 0.05  # s without a message after which nothing more is on its way
 _LAST_CALL = 0.5  # s, longest wait for that while publishers continue
@@ -150,7 +151,8 @@ class RecorderNode(TactileNode[RecorderConfig]):
         now = time.monotonic()
         if now >= self._next_discovery:
             self._discover()
-            self._next_discovery = now + _DISCOVERY_PERIOD
+            period = _SHARED_PERIOD if self._shares_process else _DISCOVERY_PERIOD
+            self._next_discovery = now + period
         count = self._drain()
         if now >= self._next_flush:
             self._next_flush = now + _FLUSH_PERIOD

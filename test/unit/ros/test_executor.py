@@ -291,9 +291,9 @@ def test_a_signal_ends_a_node_quietly_and_one_that_waits_takes_no_processor_time
 class EndedWhileServing(WaitSetExecutor):
     """An executor that another thread shuts down while the public executor waits."""
 
-    def _serve(self, timeout_sec: float | None) -> bool:
+    def _serve(self, timeout_sec: float | None, nodes: Any = None) -> bool:
         threading.Timer(0.1, self.shutdown).start()
-        return super()._serve(10.0)
+        return super()._serve(10.0, nodes)
 
 
 def test_a_shutdown_that_the_public_executor_notices_first_ends_the_loop(nodes: list[Any]) -> None:
