@@ -280,7 +280,7 @@ class FaultyLoop(GuardedLoop):
         elif cell.component == space.REGULATOR:
             regulator: Any = self.chain.regulator
             regulator.block = SlipRegulator(loop.scenario.slip_regulator, loop.plant.hand.fingers)
-        self.chain.pass_on_rejection()
+        self.chain.pass_back()
 
 
 def _turned(joints: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:

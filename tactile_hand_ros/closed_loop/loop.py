@@ -78,10 +78,10 @@ class Chain:
         command = self.controller.step(
             stamp, theta, rates, contacts, optimal.forces, grasp_force, forces, applied
         )
-        self.pass_on_rejection()
+        self.pass_back()
         return Answer(grasp_force, optimal, command)
 
-    def pass_on_rejection(self) -> None:
+    def pass_back(self) -> None:
         """Pass on to the regulator whether touch is rejected, and whether the joints are held."""
         self.regulator.reject_touch(self.controller.touch_rejected)
         self.regulator.joints_held = self.controller.joints_held

@@ -206,7 +206,7 @@ class ShadowLoop(Chain):
                 self._hold(row)
         return self._out
 
-    def pass_on_rejection(self) -> None:
+    def pass_back(self) -> None:
         """Do nothing: the recorded rejections count."""
 
     def _answer(self, row: int, contacts: Contacts) -> None:
