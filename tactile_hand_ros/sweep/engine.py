@@ -8,6 +8,7 @@ import functools
 import signal
 import traceback
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -115,29 +116,19 @@ def in_parallel(
         StudyError: If processes die.
     """
     joblib = optional("joblib", "Running on several cores")
-    died = optional("joblib.externals.loky.process_executor", "").TerminatedWorkerError
     parallel = joblib.Parallel(return_as="generator" if ordered else "generator_unordered")
     try:
-        with _interrupts_held_back():
-            results = parallel(joblib.delayed(function)(item) for item in items)
-        yield from results
-    except died:
+        yield from parallel(joblib.delayed(function)(item) for item in items)
+    except BrokenProcessPool:
         raise StudyError(
             "a process died while it made a run (out of memory?); use fewer --jobs, or find the "
             "run with --jobs 1."
         ) from None
 
 
-@contextlib.contextmanager
-def _interrupts_held_back() -> Iterator[None]:
-    """Hold Ctrl-C back for a moment: processes started inside never see it, only this one does."""
-    # Its start would let Ctrl-C through again.
-    optional("joblib.externals.loky.backend.resource_tracker", "").ensure_running()
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+def _ignore_interrupts() -> None:
+    """Leave a Ctrl-C to the process that started this one."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 @contextlib.contextmanager
@@ -154,7 +145,7 @@ def workers(jobs: int = -1, cluster: str = "") -> Iterator[None]:
     """
     joblib = optional("joblib", "Running on several cores")
     if not cluster:
-        with joblib.parallel_config(n_jobs=jobs):
+        with joblib.parallel_config("loky", n_jobs=jobs, initializer=_ignore_interrupts):
             yield
         return
     distributed = optional("distributed", "Running on a Dask cluster")
