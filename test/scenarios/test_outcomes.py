@@ -11,6 +11,7 @@ from studies.slip.study import SLIDING
 from tactile_hand_ros.config.hand_config import load_hand_config
 from tactile_hand_ros.control.contact import Contacts
 from tactile_hand_ros.hand.urdf import finger_weight
+from tactile_hand_ros.run.derived import rotation_error
 from tactile_hand_ros.scenario.scenario import load_scenario
 from tactile_hand_ros.simulation.plant_config import external_wrench
 
@@ -96,8 +97,10 @@ def ready_force(record, scenario, push):
     return minimum_against(contacts, record.object_position[-1], wrench, changes[-1])
 
 
-def final_error(record):
-    return np.linalg.norm(record.desired_position[-1] - record.auxiliary_position[-1])
+def final_errors(record):
+    """Errors of position, m, and rotation, rad, at the end."""
+    moved = np.linalg.norm(record.desired_position[-1] - record.auxiliary_position[-1])
+    return moved, np.linalg.norm(rotation_error(record.part(slice(-1, None))))
 
 
 REACHING = [s for s in SCENARIOS if s not in ("crush_limit", "lost_contact")]
@@ -108,7 +111,8 @@ def test_the_goal_is_reached(records, name):
     record, goal = records[name, True], load_scenario(name).goal
     assert not np.isnan(record.true_positions).any()
     assert slip(record) < goal.slip_distance
-    assert final_error(record) < goal.position_error
+    moved, turned = final_errors(record)
+    assert moved < goal.position_error and turned < goal.rotation_error
 
 
 @pytest.mark.parametrize("name", SCENARIOS)
@@ -176,7 +180,7 @@ def test_a_lost_contact_is_held_safely_and_comes_back(records):
     # While it is lost the controller holds, and says nothing of the object's pose.
     assert np.isnan(record.auxiliary_position[lost & np.roll(lost, 1)]).all()
     assert slip(record) < 0.01
-    assert final_error(record) < 0.01
+    assert final_errors(record)[0] < 0.01
 
 
 def test_human_hold_ends_near_the_minimum_that_holds(records):
