@@ -74,6 +74,9 @@ class ControllerConfig(Config):
         "extrapolate torques by half a period, since each is held for one (needs quiet sensors)",
         live=True,
     )
+    command_delay: int = param(
+        0, "delay of every torque; gains that fit the hand allow for it", unit="ticks", ge=0, le=20
+    )
     reference_time: float = param(
         0.4, "time constant to a new desired pose, 0 for none", unit="s", live=True, ge=0.0, le=60.0
     )
@@ -575,7 +578,7 @@ class Controller:
         if c.law.name == "optimal":
             forces = in_palm(contacts.rotations, optimal_forces, 1.0)
         ages = c.touch_latency, c.law.observer.time
-        how = forces, self._period, *ages, c.hold.resolution
+        how = forces, self._period, *ages, c.hold.resolution, c.command_delay
         self._law.fit(fitted_gains(self._fingers, theta, contacts, *how))
 
     def _judge_hold(

@@ -37,6 +37,7 @@ from tactile_hand_ros.hand.hand import Fingertips, Hand
 Array = NDArray[np.float64]
 
 _PHASE = 0.5  # w d: leaves 17 degrees of phase at the longest delay, 47 at half of it
+_DAMPING_PHASE = 1.25  # w d of damping alone: leaves 18 degrees
 _POSE_PHASE = 0.25  # loss of phase of the stiffness by the age of touch, and loss of damping
 _SHAKE = 0.03  # of a finger's weight, by angle errors; the grasp force has 0.6 in reserve
 _MARGIN = 1.5  # of the stiffness over the buckling limit
@@ -202,7 +203,7 @@ class FittedGains(NamedTuple):
         stiffness: K_p per rad/s of bandwidth, shape (6, 6), N/m and N m/rad.
         needed: Bandwidth that k_f needs, rad/s per N.
         quietest: Bandwidth up to which angle errors may shake the hand at any k_f, rad/s.
-        largest: 1 / T, rad/s.
+        largest: Bandwidth up to which held and late torques damp, rad/s.
     """
 
     rest: Array
@@ -231,14 +232,16 @@ def fitted_gains(
     touch: float,
     follows: float,
     error: float = 0.0,
+    delay: int = 0,
 ) -> FittedGains:
     """Return gains that fit a hand: K_c = w M_h and K_p = p D / t, with the damping D of the grasp.
 
     Torques that are held for T make fingers oscillate at w = 2 / T. An object adds inertia, so w is
-    at most 1 / T. Directions of forces f that are d old cost the damping K_geo d, a fraction p of
-    it at w = w_r^2 d / p, with the bandwidth w_r of a hold at that k_f. This is w, unless angle
-    errors allow more. A pose that is t late costs a phase p of the stiffness. Rates that do not
-    move the object are damped as much as angle errors allow.
+    at most 1 / T. Torques that are n ticks late cost the phase w (n + 1/2) T of the damping, at
+    most 72 of its 90 degrees. Directions of forces f that are d old cost the damping K_geo d, a
+    fraction p of it at w = w_r^2 d / p, with the bandwidth w_r of a hold at that k_f. This is w,
+    unless angle errors allow more. A pose that is t late costs a phase p of the stiffness. Rates
+    that do not move the object are damped as much as angle errors allow.
 
     Args:
         hand: The hand.
@@ -249,9 +252,11 @@ def fitted_gains(
         touch: d, age of touch, s.
         follows: t - d, time constant of the load observer, s.
         error: Largest error of an angle, rad.
+        delay: n, ticks.
     """
     inertia = hand.dynamics(theta, np.zeros(hand.joints))[1]
-    quietest = min(1.0 / tick, _quietest(hand, inertia, error))
+    largest = min(1.0, _DAMPING_PHASE / (delay + 0.5)) / tick
+    quietest = min(largest, _quietest(hand, inertia, error))
     motions = _motions(hand, hand.fingertips(theta), contacts)
     joints, twists = np.split(motions, [hand.joints])
     redundant = joints @ _kernel(twists)
@@ -267,7 +272,7 @@ def fitted_gains(
     required = required_bandwidth(hand, theta, contacts, forces, motions)
     needed = required**2 * touch / _POSE_PHASE
     rest = quietest * (inertia - damping)
-    return FittedGains(rest, damping, stiffness, needed, quietest, 1.0 / tick)
+    return FittedGains(rest, damping, stiffness, needed, quietest, largest)
 
 
 def largest_damping(

@@ -276,6 +276,16 @@ def test_gains_that_fit_a_hand_leave_each_motion_its_damping(tick, name):
     assert_allclose(stiffness, stiffness.T, atol=1e-9)
 
 
+@pytest.mark.parametrize(("delay", "known", "is_kept"), [(3, 3, True), (2, 2, True), (2, 0, False)])
+def test_gains_allow_for_a_known_delay(delay, known, is_kept):
+    """The light fingers of the human hand under a pull; a delay that is not known loses it."""
+    pull = {"kind": "ramp", "start": 0.1, "duration": 0.2, "force": [0.0, 0.0, -4.0]}
+    changes = {"plant.disturbances": [pull], "manipulation_controller.command_delay": known}
+    watch = Watch(GuardedLoop(load_scenario("human_pull", changes)))
+    watch.run(1.0, delay=delay)
+    assert (watch.moved < 0.01) is is_kept
+
+
 def pressing(plant):
     """Return the internal forces of a k_f of 1 N in palm axes, shape (k, 3), N."""
     contacts = plant.state.contacts
