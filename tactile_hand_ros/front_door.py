@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
-from tactile_hand_ros.control.own_law import known_law
+from tactile_hand_ros.own_law import known_law
 from tactile_hand_ros.report.page import Result
 from tactile_hand_ros.scenario.scenario import load_scenario
 

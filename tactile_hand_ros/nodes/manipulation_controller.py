@@ -28,12 +28,12 @@ from tactile_hand_ros.control.contact import Contacts, example_touch
 from tactile_hand_ros.control.controller import Command, Controller, ControllerConfig, Mode
 from tactile_hand_ros.control.laws import AuxiliaryPose, Target
 from tactile_hand_ros.control.margins import UNKNOWN_MARGINS, GraspMonitor
-from tactile_hand_ros.control.own_law import take_law
 from tactile_hand_ros.errors import ConfigurationError, GraspError
 from tactile_hand_ros.hand.hand import Hand
 from tactile_hand_ros.nodes.common import ModeLog
 from tactile_hand_ros.nodes.desired_poses import DesiredPoses
 from tactile_hand_ros.nodes.user_changes import AppliedChanges
+from tactile_hand_ros.own_law import take_law
 from tactile_hand_ros.ros import qos, streams
 from tactile_hand_ros.ros.diagnostics import WARN
 from tactile_hand_ros.ros.endpoints import TickFailedError

@@ -10,8 +10,8 @@ from typing import Any
 
 from tactile_hand_ros.config.paths import scenario_names
 from tactile_hand_ros.config.plain_yaml import SUFFIXES, find_file, read_yaml
-from tactile_hand_ros.control.own_law import folder_of
 from tactile_hand_ros.errors import ConfigurationError
+from tactile_hand_ros.own_law import folder_of
 
 _NOT_INHERITED = ("name", "description")  # they say what the extended scenario is about
 CONTROLLER = "manipulation_controller"

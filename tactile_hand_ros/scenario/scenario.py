@@ -14,9 +14,9 @@ from tactile_hand_ros.config.plain_yaml import find_file, yaml_text
 from tactile_hand_ros.control.controller import ControllerConfig
 from tactile_hand_ros.control.laws import Target
 from tactile_hand_ros.control.optimizer.force_optimizer import ForceOptimizerConfig
-from tactile_hand_ros.control.own_law import take_law
 from tactile_hand_ros.control.slip.regulator import SlipRegulatorConfig
 from tactile_hand_ros.errors import ConfigurationError
+from tactile_hand_ros.own_law import take_law
 from tactile_hand_ros.rotations import rotation_from_vector
 from tactile_hand_ros.scenario.files import (
     CONTROLLER,

@@ -15,8 +15,8 @@ from tactile_hand_ros.closed_loop.loop import ClosedLoop
 from tactile_hand_ros.closed_loop.record import Record
 from tactile_hand_ros.config.model import leaves
 from tactile_hand_ros.control.grasp import required_friction
-from tactile_hand_ros.control.own_law import take_law
 from tactile_hand_ros.errors import ConfigurationError
+from tactile_hand_ros.own_law import take_law
 from tactile_hand_ros.run.metrics import START_S, Metrics, metrics
 from tactile_hand_ros.scenario.scenario import Scenario, load_scenario, plain
 from tactile_hand_ros.sweep.engine import LOST, MISSED, REACHED, Point, Study

@@ -22,6 +22,7 @@ TIERS = (
     ("rotations", "cholesky"),
     ("hand",),
     ("control",),
+    ("own_law",),
     ("simulation",),
     ("scenario",),
     ("closed_loop",),
