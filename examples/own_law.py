@@ -3,8 +3,7 @@
 
 import numpy as np
 
-from tactile_hand_ros import simulate
-from tactile_hand_ros.control.laws import OptimalLaw
+from tactile_hand_ros import OptimalLaw, simulate
 
 LIMIT = 0.1  # N
 

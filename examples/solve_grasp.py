@@ -3,9 +3,7 @@
 
 import numpy as np
 
-from tactile_hand_ros import Contacts, ForceOptimizer
-from tactile_hand_ros.control.contact import contact_frame
-from tactile_hand_ros.control.optimizer.force_optimizer import ForceOptimizerConfig
+from tactile_hand_ros import Contacts, ForceOptimizer, ForceOptimizerConfig, contact_frame
 
 # Index and middle finger press on one face, the thumb on the opposite one: points in m, palm frame.
 positions = np.array([[-0.010, 0.030, 0.0], [0.014, 0.030, 0.0], [0.0, -0.030, 0.0]])

@@ -16,9 +16,13 @@ if TYPE_CHECKING:
     from tactile_hand_ros import sweep
     from tactile_hand_ros.closed_loop.loop import ClosedLoop
     from tactile_hand_ros.closed_loop.record import Record
-    from tactile_hand_ros.control.contact import Contacts
+    from tactile_hand_ros.control.contact import Contacts, contact_frame
     from tactile_hand_ros.control.controller import Controller
-    from tactile_hand_ros.control.optimizer.force_optimizer import ForceOptimizer
+    from tactile_hand_ros.control.laws import OptimalLaw
+    from tactile_hand_ros.control.optimizer.force_optimizer import (
+        ForceOptimizer,
+        ForceOptimizerConfig,
+    )
     from tactile_hand_ros.control.slip.regulator import SlipRegulator
     from tactile_hand_ros.errors import TactileHandError
     from tactile_hand_ros.front_door import simulate
@@ -38,8 +42,10 @@ __all__ = [
     "Contacts",
     "Controller",
     "ForceOptimizer",
+    "ForceOptimizerConfig",
     "Hand",
     "Metrics",
+    "OptimalLaw",
     "Plant",
     "Record",
     "Run",
@@ -47,6 +53,7 @@ __all__ = [
     "SlipRegulator",
     "TactileHandError",
     "TactileSensor",
+    "contact_frame",
     "load_scenario",
     "metrics",
     "recompute",
@@ -60,8 +67,10 @@ _HOMES = {
     "Contacts": "control.contact",
     "Controller": "control.controller",
     "ForceOptimizer": "control.optimizer.force_optimizer",
+    "ForceOptimizerConfig": "control.optimizer.force_optimizer",
     "Hand": "hand.hand",
     "Metrics": "run.metrics",
+    "OptimalLaw": "control.laws",
     "Plant": "simulation.plant",
     "Record": "closed_loop.record",
     "Run": "run.run",
@@ -69,6 +78,7 @@ _HOMES = {
     "SlipRegulator": "control.slip.regulator",
     "TactileHandError": "errors",
     "TactileSensor": "simulation.skin",
+    "contact_frame": "control.contact",
     "load_scenario": "scenario.scenario",
     "metrics": "run.metrics",
     "recompute": "verify.recompute",
