@@ -30,7 +30,7 @@ NamespaceOption = Annotated[
 
 def _number_of_processes(jobs: int) -> int:
     if jobs == 0:
-        raise typer.BadParameter("0 processes cannot work, expected 1 or more, or -1 for all cores")
+        raise typer.BadParameter("expected 1 or more processes, or -1 for all cores, got 0")
     return jobs
 
 
@@ -58,7 +58,7 @@ def check_writable(folder: Path) -> None:
             f"{folder} cannot be created ({error.strerror}); choose another folder."
         ) from None
     if not os.access(folder, os.W_OK):
-        raise TactileHandError(f"Nothing can be written to {folder}; choose another folder.")
+        raise TactileHandError(f"{folder} is not writable; choose another folder.")
 
 
 def console(stderr: bool = False) -> Console:

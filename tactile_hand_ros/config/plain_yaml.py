@@ -101,9 +101,7 @@ def parse_yaml(text: str, source: str = "") -> Any:
     except RecursionError:
         raise _not_yaml(source, "this file", "it is nested too deeply") from None
     except (ValueError, ArithmeticError, LookupError, AttributeError, TypeError) as error:
-        raise _not_yaml(
-            source, "this file", f"a value is not what it looks like ({error})"
-        ) from None
+        raise _not_yaml(source, "this file", f"a value is invalid ({error})") from None
     return {} if data is None else data
 
 

@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The processes of a run: started, watched and stopped.
+"""Start, watch and stop the processes of a run.
 
-Each leads a session of its own and gets a signal from the kernel when the orchestrator dies, so
-nothing outlives it.
+Each leads its own session. The kernel signals it when the orchestrator dies, so none is left over.
 """
 
 from __future__ import annotations
@@ -25,10 +24,10 @@ from tactile_hand_ros.ros.processes import (
 
 _TAIL = 15  # lines of a log that are shown
 _ROS2_PATIENCE = 20.0
-"""Time for ``ros2`` to say where this package is [s]; it takes one second on an idle computer."""
+"""Longest wait for ``ros2`` to find this package [s]; it takes one second on an idle computer."""
 
 Program = Callable[[str, list[str]], list[str]]
-"""From the name of an executable and the command to run it under to the whole command."""
+"""Returns the full command for an executable and the command that it runs under."""
 
 
 class NodeDiedError(TactileHandError):
@@ -44,7 +43,7 @@ class NodeProcess(ChildProcess):
     """
 
     def __init__(self, name: str, command: Sequence[str], log: Path) -> None:
-        """Start a command, and create the log."""
+        """Start a command and create its log."""
         self.name, self.log = name, log
         with log.open("wb") as output:
             super().__init__(command, output, subprocess.STDOUT)
@@ -72,11 +71,11 @@ class NodeProcess(ChildProcess):
 
 
 def started_by(name: str, guard: list[str]) -> list[str]:
-    """Return the command for an executable: ``ros2 run``, or its file where there is no ``ros2``.
+    """Return the command for an executable: ``ros2 run``, or its file if there is no ``ros2``.
 
     Args:
         name: Name of the executable.
-        guard: The command that it is run under.
+        guard: The command that it runs under.
 
     Raises:
         ExecutableError: If it does not exist.
@@ -101,7 +100,7 @@ def _ros2() -> str | None:
 
 
 class Processes:
-    """The processes of a run; nothing is left when the block ends."""
+    """The processes of a run; the context stops all of them when it exits."""
 
     def __init__(self, command: Program = started_by) -> None:
         """Prepare; `command` returns program and first arguments for an executable."""
@@ -113,7 +112,7 @@ class Processes:
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Stop what still runs."""
+        """Stop all running processes."""
         self.stop([list(self._started)])
 
     def start(self, name: str, log: Path, *arguments: str, records: bool = False) -> None:
@@ -123,7 +122,7 @@ class Processes:
             name: Its name.
             log: File for its output.
             *arguments: Its arguments.
-            records: Whether it must finish a bag when the orchestrator dies, before it ends.
+            records: Whether it must finish a bag before it exits if the orchestrator dies.
 
         Raises:
             ExecutableError: If it does not exist.
@@ -147,13 +146,10 @@ class Processes:
         return self._started[name].tail() if name in self._started else []
 
     def stop(self, order: Sequence[Sequence[str]]) -> list[str]:
-        """End processes, SIGINT first, SIGKILL last.
-
-        Args:
-            order: Names of those that end together, one group after the other.
+        """Stop groups of processes one after the other, with SIGINT first and SIGKILL last.
 
         Returns:
-            A sentence for each that did not end well.
+            A sentence for each that did not stop cleanly.
         """
         complaints: list[str] = []
         for names in order:
@@ -161,9 +157,9 @@ class Processes:
             running = [process for process in group if process.returncode is None]
             end_together(group)
             complaints += [
-                f"{process.name} did not end well: code {process.returncode}, see {process.log}"
+                f"{process.name} did not stop cleanly: code {process.returncode}, see {process.log}"
                 for process in running
-                # While it still loads, a process has no handler for SIGINT yet.
+                # While it loads, a process has no handler for SIGINT yet.
                 if process.returncode not in (0, -signal.SIGINT)
             ]
         return complaints

@@ -16,7 +16,7 @@ from tactile_hand_ros.scenario.scenario import Scenario, resolved
 
 
 class RunDirectory:
-    """``<root>/<time>-<scenario>/`` and the names of the files in it.
+    """``<root>/<time>-<scenario>/`` and the names of its files.
 
     Attributes:
         path: The directory.
@@ -32,12 +32,9 @@ class RunDirectory:
 
     @classmethod
     def create(cls, root: Path, name: str, now: datetime.datetime | None = None) -> RunDirectory:
-        """Create a new directory and let ``<root>/latest`` point to it.
+        """Create a new directory below `root` and let ``<root>/latest`` point to it.
 
-        Args:
-            root: Where the runs are.
-            name: Name of the scenario.
-            now: Time for the name, by default the local time.
+        Its name contains the scenario's `name` and the time, by default the local time.
 
         Raises:
             ConfigurationError: If it cannot be created.

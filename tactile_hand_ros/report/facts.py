@@ -128,10 +128,10 @@ def notes(run: RunData) -> list[str]:
     if run.scenario_problem:
         found.append(
             "The scenario in the bag does not fit this version of the package: goal, disturbances "
-            "and assumptions are left out."
+            "and assumptions are omitted."
         )
     elif run.scenario is None:
-        found.append("No scenario is known: goal, object and assumptions are left out.")
+        found.append("The scenario is unknown: goal, object and assumptions are omitted.")
     if run.assumptions_problem:
         found.append(run.assumptions_problem)
     if run.bag_metrics is not None and not run.bag_metrics.complete:

@@ -133,7 +133,7 @@ def asked_events(requests: Sequence[Asked], refusals: Sequence[Asked]) -> list[E
         if each.stamp or each.key != "enable"  # reported at the first tick, without a call
     ]
     return calls + [
-        Event(1e-9 * each.stamp, "refusal", "", f"{each.key} is refused: {each.value}")
+        Event(1e-9 * each.stamp, "refusal", "", f"{each.key} is rejected: {each.value}")
         for each in refusals
     ]
 
@@ -207,7 +207,7 @@ def _gaps(record: Record) -> list[Event]:
     found: list[Event] = []
     for first, last in gaps(record):
         lasted = record.times[last] - record.times[first]
-        found += _at(record, [first], "gap", "", f"nothing was recorded for {lasted:.3g} s")
+        found += _at(record, [first], "gap", "", f"no data was recorded for {lasted:.3g} s")
     return found
 
 

@@ -94,7 +94,7 @@ def find_prefix(topics: Iterable[str], namespace: str | None, bag: object) -> st
     if wanted is not None and (name := wanted.strip("/")) in hands:
         return hands[name]
     if not hands:
-        problem = f"has no topic {names.JOINT_STATES}, without which there are no ticks"
+        problem = f"has no topic {names.JOINT_STATES}, which defines the ticks"
     elif namespace is None:
         problem = "holds several hands; choose a namespace"
     else:

@@ -105,12 +105,12 @@ class RunData:
         try:
             hand = Hand.load(self.scenario.hand, self.scenario.layout)
         except TactileHandError as error:
-            return [], f"The assumptions are left out, because the hand is not known here: {error}."
+            return [], f"The assumptions are omitted because the hand cannot be loaded: {error}."
         here = hand.fingers, hand.joints
         recorded = len(self.record.finger_names), len(self.record.joint_names)
         if here != recorded:
             return [], (
-                f"The assumptions are left out, because the hand '{self.scenario.hand}' has "
+                f"The assumptions are omitted because the hand '{self.scenario.hand}' has "
                 f"{here[0]} fingers and {here[1]} joints here, "
                 f"{recorded[0]} and {recorded[1]} in the bag."
             )

@@ -99,7 +99,7 @@ class Run(Result):
         states = self.topics.full(names.JOINT_STATES)
         if not messages[states].data:
             raise BagError(
-                f"The bag {self.bag} has no message on {states}, so there is not a single tick; "
+                f"The bag {self.bag} has no message on {states}, so it contains no ticks; "
                 "was the hand running?"
             )
         *earlier, last = sections(messages, states)

@@ -121,7 +121,7 @@ def in_parallel(
         yield from parallel(joblib.delayed(function)(item) for item in items)
     except BrokenProcessPool:
         raise StudyError(
-            "a process died while it made a run (out of memory?); use fewer --jobs, or find the "
+            "a process died during a run (out of memory?); use fewer --jobs, or find the "
             "run with --jobs 1."
         ) from None
 

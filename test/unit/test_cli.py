@@ -93,7 +93,7 @@ def test_a_summary_of_a_hand_that_is_elsewhere_lacks_its_assumptions(
     (run / "scenario.yaml").write_text(text.replace("hand: paper", "hand: ~nobody-here/hand.yaml"))
     assert main(["summary", str(run)]) == 0
     printed = capsys.readouterr()
-    said = "note: The assumptions are left out, because the hand is not known here: hand file '~no"
+    said = "note: The assumptions are omitted because the hand cannot be loaded: hand file '~no"
     assert printed.err.startswith(said) and printed.err.count("\n") == 1
     assert "20 ticks" in printed.out and "held" not in printed.out
 
@@ -126,7 +126,7 @@ def test_wrong_usage(capsys: pytest.CaptureFixture[str]) -> None:
     assert "Did you mean 'run'" in refused(capsys, "rum")
     assert "--pacing" in refused(capsys, "run", "--pacin", "realtime")
     assert "'tactile-hand run --help'" in refused(capsys, "run", "paper", "twice")
-    assert "0 processes cannot work" in refused(capsys, "reproduce", "--jobs", "0")
+    assert "expected 1 or more processes" in refused(capsys, "reproduce", "--jobs", "0")
 
 
 def test_run_refuses_what_contradicts_itself(capsys: pytest.CaptureFixture[str]) -> None:

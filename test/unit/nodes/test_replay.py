@@ -167,7 +167,7 @@ def test_publishers_offer_what_all_recorded_ones_offered(
     [
         ("--rate=0", "expected a number above 0"),
         ("--exclude=(", "not a valid regular expression"),
-        ("--law=contact", "expected --recompute too"),
+        ("--law=contact", "--law is set without --recompute"),
         ("--namespace=1x", "the namespace is '1x'"),
     ],
 )

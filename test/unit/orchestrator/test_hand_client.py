@@ -187,10 +187,10 @@ def test_a_refusal_says_why(hand: Hand, client: HandClient) -> None:
         lambda: client.grasp_force(7.0),
         lambda: client.grasp(True),
     ):
-        with pytest.raises(SteeringError, match="the hand refuses: too far$"):
+        with pytest.raises(SteeringError, match="the hand rejects the command: too far$"):
             command()
     hand.reason = None
-    with pytest.raises(SteeringError, match="the hand refuses: without a reason$"):
+    with pytest.raises(SteeringError, match="the hand rejects the command: no reason given$"):
         client.grasp_force(7.0)
 
 
@@ -253,7 +253,7 @@ def test_nothing_is_reset_before_the_controller_is_there_and_the_sender_of_joint
             HandClient(node, 0.3).reset()
         for name in (names.CONTROLLER, names.REGULATOR):
             half.create_service(Trigger, f"{name}/reset", answer(name))
-        with pytest.raises(SteeringError, match="nothing publishes joint_states"):
+        with pytest.raises(SteeringError, match="joint_states has no publisher"):
             HandClient(node, 3.0).reset()
         assert called == []
         plant = Node(names.PLANT, context=context, namespace="/half")

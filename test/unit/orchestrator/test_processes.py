@@ -81,7 +81,7 @@ def test_stubborn_process_is_killed_and_named(
     with shells(mule=STUBBORN) as processes:
         started(processes, tmp_path, "mule")
         [complaint] = processes.stop([["mule"]])
-        assert complaint.startswith(f"mule did not end well: code -{signal.SIGKILL}")
+        assert complaint.startswith(f"mule did not stop cleanly: code -{signal.SIGKILL}")
 
 
 def test_children_of_a_process_end_with_it(tmp_path: Path) -> None:

@@ -95,7 +95,7 @@ def test_a_dropped_object_is_called_dropped(plan: Plan) -> None:
 
 
 def test_a_failure_comes_first() -> None:
-    outcome = RunOutcome(failure="plant ended", complaints=["recorder did not end well"])
+    outcome = RunOutcome(failure="plant ended", complaints=["recorder did not stop cleanly"])
     verdict = judge(PLAN, outcome, results("no bag"), 128)
     assert verdict == RunVerdict("failed", [outcome.failure, "no bag", *outcome.complaints], 1)
 
@@ -117,11 +117,11 @@ def test_ctrl_c_is_the_regular_end_of_an_interactive_run_alone(
 
 
 def test_an_interrupt_before_the_first_tick_leaves_nothing_to_miss() -> None:
-    stopped = RunOutcome(interrupted=True, complaints=["plant did not end well"])
+    stopped = RunOutcome(interrupted=True, complaints=["plant did not stop cleanly"])
     nothing = RunResults(problems=["no bag"])
-    assert judge(PLAN, stopped, nothing, 130).reasons == ["plant did not end well"]
+    assert judge(PLAN, stopped, nothing, 130).reasons == ["plant did not stop cleanly"]
     started = results("no bag")
-    assert judge(PLAN, stopped, started, 130).reasons == ["no bag", "plant did not end well"]
+    assert judge(PLAN, stopped, started, 130).reasons == ["no bag", "plant did not stop cleanly"]
     assert judge(STEERED, stopped, started, 130).exit_code == 1
 
 

@@ -100,7 +100,7 @@ def test_the_plant_is_told_to_run_and_its_refusal_is_an_error(
             steering.run(True)
             steering.run(False)
         else:
-            with pytest.raises(SteeringError, match="refuses ~/run: it is finished"):
+            with pytest.raises(SteeringError, match="rejects ~/run: it is finished"):
                 steering.run(True)
     assert asked == ([True, False] if accepts else [True])
 

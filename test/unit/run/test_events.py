@@ -116,7 +116,7 @@ def test_a_contact_that_was_lost_in_the_dark_is_lost_when_touch_is_back(record: 
     assert told(record, "contact_made") == []
     assert told(record, "gap") == [(pytest.approx(0.49), "")]
     text = next(each.text for each in events(record) if each.kind == "gap")
-    assert text == "nothing was recorded for 0.11 s"
+    assert text == "no data was recorded for 0.11 s"
 
 
 def test_a_drop_and_pushes_stand_in_their_order(record: Record) -> None:
@@ -149,5 +149,5 @@ def test_calls_and_refusals_are_told_with_what_was_asked() -> None:
     assert asked_events(calls, refusals) == [
         Event(0.0, "request", "", "a user calls reset"),
         Event(2.0, "request", "", "a user calls enable (false)"),
-        Event(0.5, "refusal", "", "desired_pose is refused: out of reach"),
+        Event(0.5, "refusal", "", "desired_pose is rejected: out of reach"),
     ]

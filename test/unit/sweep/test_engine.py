@@ -93,7 +93,7 @@ def test_a_folder_that_cannot_be_written_is_said_in_a_sentence(tmp_path: Path) -
 def test_a_process_that_dies_ends_the_study_and_a_second_call_goes_on(
     expected: bytes, tmp_path: Path
 ) -> None:
-    with workers(2), pytest.raises(StudyError, match="a process died while it made a run"):
+    with workers(2), pytest.raises(StudyError, match="a process died during a run"):
         kept(tmp_path, run=trials.deadly)
     kept(tmp_path)
     assert (tmp_path / table.TABLE).read_bytes() == expected
