@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a recorded run shows, and its bag: published, recomputed or repaired."""
+"""The commands for a recorded run and its bag: report, summary, replay and recover."""
 
 from __future__ import annotations
 
@@ -103,7 +103,7 @@ def replay(
 
 
 def _recompute(bag: Path, namespace: str, law: str) -> None:
-    """Ask the controllers again, and compare their answers with those in the bag."""
+    """Recompute the controllers' answers and compare them with those in the bag."""
     from tactile_hand_ros.run.run import Run
     from tactile_hand_ros.verify import recompute as r
 
