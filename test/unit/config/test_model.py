@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Configuration is immutable, finite, and says where and why it refuses a value."""
+"""Configuration is immutable and finite; errors give place and reason."""
 
 import enum
 import math
