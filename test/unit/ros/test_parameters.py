@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Parameters of a node from a configuration: types, ranges, files, changes while it runs."""
+"""Parameters of a node from a configuration: types, ranges, files, changes at run time."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def domain() -> Iterator[int]:
 
 @pytest.fixture
 def declare(domain, monkeypatch):
-    """Declare the example on a node that got some ROS arguments."""
+    """Declare the example on a node with some ROS arguments."""
     opened = []
 
     def start(*arguments, on_change=lambda _: None, namespace="left"):

@@ -24,7 +24,7 @@ WORDS += ["--runs", "24", "--jobs", "1"]
 
 
 def refused(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
-    """Return what is printed where a command is refused."""
+    """Return the output of a rejected command."""
     assert main([str(argument) for argument in arguments]) == 2
     text = capsys.readouterr().err
     assert text.startswith(("tactile-hand: ", "Usage: ")) and "Traceback" not in text
