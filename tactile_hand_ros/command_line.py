@@ -94,11 +94,7 @@ class Interrupted(Exception):
 
 
 class Signals:
-    """Stores the first SIGINT, SIGTERM or SIGHUP and wakes up the waiting thread.
-
-    Attributes:
-        number: The first signal, 0 if none.
-    """
+    """Stores the first SIGINT, SIGTERM or SIGHUP, and wakes up the waiting thread."""
 
     def __init__(self) -> None:
         """Start without a signal."""
@@ -137,11 +133,7 @@ class Signals:
             raise Interrupted(f"ended by {self.name}")
 
     def wait(self, seconds: float) -> None:
-        """Wait for some seconds; a signal ends the wait.
-
-        Raises:
-            Interrupted: If a signal has arrived.
-        """
+        """Wait for some seconds; raise Interrupted after a signal."""
         self.check()
         with contextlib.suppress(queue.Empty):
             self._came.get(timeout=seconds)

@@ -46,11 +46,7 @@ SeedOption = Annotated[int, typer.Option(help="Seed of everything random.", min=
 
 
 def check_writable(folder: Path) -> None:
-    """Create a folder for results before the work starts.
-
-    Raises:
-        TactileHandError: If it cannot be created, or is read-only.
-    """
+    """Create a folder for results before the work starts; raise TactileHandError if it fails."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:

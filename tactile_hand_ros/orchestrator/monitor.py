@@ -36,12 +36,7 @@ class Monitor:
     """
 
     def __init__(self, node: Node, *, closely: bool) -> None:
-        """Subscribe; the executor of the node does not see the subscriptions.
-
-        Args:
-            node: A node in the namespace of the run.
-            closely: Whether to follow every tick, because a command is due at a given one.
-        """
+        """Subscribe outside the node's executor; `closely` follows every tick, to send commands."""
         self._node = node
         self._diagnostics = subscribe_directly(
             node, DiagnosticArray, names.DIAGNOSTICS, QoSProfile(depth=100)
@@ -106,21 +101,10 @@ def line_console(file: IO[str], **options: Any) -> Console:
 
 
 class View:
-    """Progress of a run: a bar on a terminal, lines elsewhere.
-
-    Attributes:
-        period: Time between updates [s].
-        bar: Context to be entered while the run is shown.
-    """
+    """Progress of a run: a bar on a terminal, lines elsewhere, updated every `period` [s]."""
 
     def __init__(self, console: Console, duration: float | None, *, quiet: bool) -> None:
-        """Prepare.
-
-        Args:
-            console: Where to write; see `line_console`.
-            duration: Simulated time of the run [s], None for an endless run.
-            quiet: Whether to write nothing.
-        """
+        """Prepare; `duration` is the simulated time of the run [s], None for an endless run."""
         self._console, self._of = console, "" if duration is None else f"{duration:g}"
         self._first: tuple[float, float] | None = None  # wall and simulated time, s
         self._fault = ""

@@ -35,12 +35,7 @@ class NodeDiedError(TactileHandError):
 
 
 class NodeProcess(ChildProcess):
-    """One process of the run, with a log.
-
-    Attributes:
-        name: Name of the executable.
-        log: File with its output.
-    """
+    """One process of the run, with a log file."""
 
     def __init__(self, name: str, command: Sequence[str], log: Path) -> None:
         """Start a command and create its log."""
@@ -54,11 +49,7 @@ class NodeProcess(ChildProcess):
         return [line for line in text.splitlines() if line.strip()][-_TAIL:]
 
     def check(self) -> None:
-        """Raise if the process has ended.
-
-        Raises:
-            NodeDiedError: With its code and its last line.
-        """
+        """Raise NodeDiedError, with code and last line, if the process has ended."""
         code = self.returncode
         if code is None:
             return
@@ -73,9 +64,7 @@ class NodeProcess(ChildProcess):
 def started_by(name: str, guard: list[str]) -> list[str]:
     """Return the command for an executable: ``ros2 run``, or its file if there is no ``ros2``.
 
-    Args:
-        name: Name of the executable.
-        guard: The command that it runs under.
+    The executable runs under the command `guard`.
 
     Raises:
         ExecutableError: If it does not exist.
@@ -116,13 +105,7 @@ class Processes:
         self.stop([list(self._started)])
 
     def start(self, name: str, log: Path, *arguments: str, records: bool = False) -> None:
-        """Start an executable of this package.
-
-        Args:
-            name: Its name.
-            log: File for its output.
-            *arguments: Its arguments.
-            records: Whether it must finish a bag before it exits if the orchestrator dies.
+        """Start an executable; `records` lets it finish a bag if the orchestrator dies.
 
         Raises:
             ExecutableError: If it does not exist.
@@ -133,11 +116,7 @@ class Processes:
         self._started[name] = NodeProcess(name, command, log)
 
     def check(self) -> None:
-        """Raise if one of the processes has ended.
-
-        Raises:
-            NodeDiedError: With its name, code and last line.
-        """
+        """Raise NodeDiedError, with name, code and last line, if one of the processes has ended."""
         for process in self._started.values():
             process.check()
 
@@ -146,11 +125,7 @@ class Processes:
         return self._started[name].tail() if name in self._started else []
 
     def stop(self, order: Sequence[Sequence[str]]) -> list[str]:
-        """Stop groups of processes one after the other, with SIGINT first and SIGKILL last.
-
-        Returns:
-            A sentence for each that did not stop cleanly.
-        """
+        """Stop groups in order, with SIGINT, finally SIGKILL; return a sentence per failure."""
         complaints: list[str] = []
         for names in order:
             group = [self._started[name] for name in names if name in self._started]

@@ -37,14 +37,7 @@ _JUDGED = ("final position error", "final orientation error |r_d|", "longest sli
 
 @dataclass
 class RunResults:
-    """The contents of a run's bag.
-
-    Attributes:
-        run: The run, None without a bag or a tick.
-        metrics: Its metrics, None without a bag or a tick.
-        recording: Message counts against ticks, empty without a bag or a tick.
-        problems: A sentence for each defect of the bag.
-    """
+    """The contents of a run's bag, None or empty without a bag or a tick, and its problems."""
 
     run: Run | None = None
     metrics: Metrics | None = None

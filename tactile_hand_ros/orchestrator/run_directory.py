@@ -16,14 +16,7 @@ from tactile_hand_ros.scenario.scenario import Scenario, resolved
 
 
 class RunDirectory:
-    """``<root>/<time>-<scenario>/`` and the names of its files.
-
-    Attributes:
-        path: The directory.
-        bag: Folder of the bag.
-        summary: File with the results.
-        scenario: File with the scenario, every value resolved.
-    """
+    """``<root>/<time>-<scenario>/`` and its files; the scenario has every value resolved."""
 
     def __init__(self, path: Path) -> None:
         """Name the files in a directory."""

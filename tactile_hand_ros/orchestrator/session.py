@@ -63,14 +63,8 @@ class StallError(TactileHandError):
 class Plan:
     """The plan of a run; see `RunOptions`.
 
-    Attributes:
-        scenario: The scenario.
-        namespace: Namespace of all nodes, ``/`` for none.
-        record: Whether to record a bag.
-        interactive: Whether to continue until a signal.
-        composed: Whether the nodes share one process.
-        startup_timeout: Longest wait for the graph [s].
-        scheduling: Scheduling of all nodes but the recorder, which may be late.
+    Namespace ``/`` means none. The startup timeout is in s. The recorder ignores `scheduling`,
+    because it may be late.
     """
 
     scenario: Scenario
@@ -129,10 +123,8 @@ class Session:
     def run(self, joining: AbstractContextManager[Node], view: View) -> RunOutcome:
         """Run to the end, to a signal or to a failure; stop all processes.
 
-        Args:
-            joining: Provides the orchestrator's own node, in the namespace of the run. Entered
-                after the processes have started, so that they do not wait for it.
-            view: Shows the progress.
+        `joining` provides the orchestrator's own node, in the namespace of the run. It is entered
+        after the processes have started, so that they do not wait for it.
         """
         outcome = self.outcome
         with self._processes, contextlib.ExitStack() as stack:

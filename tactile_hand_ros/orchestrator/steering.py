@@ -52,13 +52,7 @@ class Steering:
     """The orchestrator's commands: targets, user grasp forces, and run or pause."""
 
     def __init__(self, node: Node, scenario: Scenario, check: Callable[[], None]) -> None:
-        """Create publishers and client.
-
-        Args:
-            node: A node in the namespace of the run.
-            scenario: Source of the commands.
-            check: Called while waiting; raises to give up.
-        """
+        """Create publishers and client; `check` is called while waiting and raises to give up."""
         self._targets, self._check = scenario.targets, check
         self._waiting = sorted(scenario.user_forces, key=lambda request: request.time)
         # A queue of one is full with each message. Only then does Fast DDS request the
@@ -82,11 +76,7 @@ class Steering:
         return {f"{PUBLICATIONS} {p.topic_name}": str(p.get_subscription_count()) for p in ours}
 
     def send_targets(self) -> None:
-        """Send the desired poses, each with its tick, and wait for their arrival.
-
-        Raises:
-            SteeringError: If a subscriber does not acknowledge them.
-        """
+        """Send the desired poses with their ticks; raise SteeringError without acknowledgment."""
         for target in self._targets:
             pose, codec = target.target(), PoseCodec(nan_allowed=True)
             self._poses.publish(codec.encode(pose.position, pose.quaternion, target.stamp))
@@ -118,12 +108,9 @@ class Steering:
                 )
 
     def run(self, on: bool, timeout: float = _PATIENCE, check: bool = True) -> None:
-        """Let the plant run or pause.
+        """Let the plant run or pause; wait for its answer, at most `timeout` [s].
 
-        Args:
-            on: Whether to run.
-            timeout: Longest wait for the answer [s].
-            check: Whether to give up early when the constructor's `check` raises.
+        With `check`, the constructor's `check` may end the wait early.
 
         Raises:
             SteeringError: If the plant rejects the call or does not answer.
@@ -222,7 +209,7 @@ class HandClient:
         return 1e-9 * stamp_to_ns(taken.header.stamp)
 
     def grasp(self, close: bool) -> str:
-        """Close the fingers until all touch, or open them; return the hand's answer.
+        """Close the fingers until all touch, or open them; return the answer.
 
         Raises:
             SteeringError: If there is no hand, or it rejects the request.
@@ -308,11 +295,7 @@ class HandClient:
         return str(answer.message)
 
     def _wait(self, condition: Callable[[], bool], problem: str) -> None:
-        """Wait for a condition.
-
-        Raises:
-            SteeringError: With `problem` after the timeout.
-        """
+        """Wait for a condition; raise SteeringError with `problem` after the timeout."""
         if not _spin(self._executor, condition, self._timeout):
             raise SteeringError(problem)
 

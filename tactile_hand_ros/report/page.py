@@ -82,11 +82,7 @@ def _json(document: dict[str, Any]) -> str:
 
 
 def _write(text: str, file: Path) -> Path:
-    """Write a file atomically.
-
-    Raises:
-        TactileHandError: If it cannot be written.
-    """
+    """Write a file atomically; raise TactileHandError if that fails."""
     try:
         file.parent.mkdir(parents=True, exist_ok=True)
         replace_text(file, text)

@@ -73,11 +73,7 @@ def pretty(name: str) -> str:
 
 @contextmanager
 def look() -> Iterator[None]:
-    """Apply this style inside the context.
-
-    Raises:
-        MissingLibraryError: If matplotlib is not installed.
-    """
+    """Apply this style inside the context; raise MissingLibraryError without matplotlib."""
     matplotlib = optional("matplotlib", "Drawing")
     with matplotlib.rc_context(_PARAMETERS):
         yield

@@ -118,11 +118,7 @@ def bag_rows(b: BagMetrics) -> list[list[str]]:
 
 
 def rich_table(title: str, columns: Sequence[str], rows: Rows = ()) -> Table:
-    """Return a table for the terminal.
-
-    Raises:
-        MissingLibraryError: If rich is not installed.
-    """
+    """Return a table for the terminal; raise MissingLibraryError without rich."""
     rich = optional("rich.table", "Tables in the terminal")
     table: Table = rich.Table(
         title=title, title_justify="left", title_style="bold", show_header=any(columns)

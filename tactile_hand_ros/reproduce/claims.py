@@ -43,23 +43,13 @@ class ExperimentRun(RunData):
 
 
 def run_experiment(key: str, layout: str, duration: float | None = None) -> ExperimentRun:
-    """Run one of `EXPERIMENTS` in-process.
-
-    Args:
-        key: Key of the experiment.
-        layout: Layout of the hand's fingers.
-        duration: Simulated time in s instead of the scenario's.
-    """
+    """Run one of `EXPERIMENTS` in-process; `duration` [s] replaces the scenario's."""
     scenario = scenario_of(key, layout, duration)
     return ExperimentRun(ClosedLoop(scenario).run(), scenario)
 
 
 def scenario_of(key: str, layout: str, duration: float | None = None) -> Scenario:
-    """Return the scenario of an experiment; arguments as for `run_experiment`.
-
-    Raises:
-        ConfigurationError: If a layout or duration is invalid.
-    """
+    """Return the scenario of an experiment; ConfigurationError if layout or duration is invalid."""
     name, others = EXPERIMENTS[key]
     changes = {"layout": layout, **others}
     if duration is not None:
@@ -82,14 +72,7 @@ class ClaimVerdict(enum.Enum):
 
 @dataclass(frozen=True)
 class Claim:
-    """One claim of the paper.
-
-    Attributes:
-        source: Where the paper makes it.
-        statement: The claim in words.
-        measured: The result in words.
-        verdict: Whether it holds.
-    """
+    """One claim of the paper: its source and statement, the measured result and the verdict."""
 
     source: str
     statement: str

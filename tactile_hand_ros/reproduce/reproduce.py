@@ -33,13 +33,7 @@ REPORT = "reproduction.md"
 
 @dataclass(frozen=True)
 class Reproduction:
-    """The results for one layout.
-
-    Attributes:
-        layout: Layout of the hand's fingers.
-        outcomes: All experiments by key.
-        claims: The paper's claims and their measurements.
-    """
+    """The results for one layout: all experiments by key, and the judged claims."""
 
     layout: str
     outcomes: Outcomes
@@ -53,10 +47,7 @@ def reproduce(
 ) -> list[Reproduction]:
     """Run all experiments on `workers`, and judge the paper's claims.
 
-    Args:
-        layouts: Layouts of the hand's fingers.
-        duration: Simulated time in s instead of the scenarios'.
-        progress: Called with a sentence after each experiment.
+    `duration` [s] replaces the scenarios'; `progress` is called with a sentence per experiment.
 
     Raises:
         ConfigurationError: If a layout or duration is invalid.

@@ -56,11 +56,8 @@ _HOLDING = 2
 def dropped_at(record: Record, releases: Sequence[float] = ()) -> float:
     """Return when the object was dropped, s; NaN if it is held at the end, or was never held.
 
-    The drop is the tick after which fewer than two fingers touch for the rest of the run.
-
-    Args:
-        record: The run.
-        releases: When a user opened the hand, s; a released object does not count as dropped.
+    From the drop on, fewer than two fingers touch until the end of the run. An object that a user
+    has released, at `releases` in s, does not count as dropped.
     """
     missing = np.isnan(record.contact_positions[:, :, 0])
     known = np.flatnonzero(~silent(record))  # of the other ticks, nothing was recorded
@@ -103,10 +100,7 @@ def rotation_error(record: Record) -> Array:
 
 
 def pose_errors(record: Record, dropped: float) -> tuple[Array, Array]:
-    """Return |p_d - p| in m and |r_d| at every tick, both of shape (n,); NaN after a drop.
-
-    `dropped` is the time of the drop, s; NaN if there was none.
-    """
+    """Return |p_d - p| in m and |r_d| at every tick, shape (n,); NaN from `dropped`, s, on."""
     position = np.linalg.norm(position_error(record), axis=1)
     rotation = np.linalg.norm(rotation_error(record), axis=1)
     gone = record.times >= dropped
@@ -139,10 +133,7 @@ def expected_normal_forces(record: Record) -> Array:
 
 
 def contact_lost(record: Record) -> NDArray[np.bool_]:
-    """Return the ticks at which a contact was missing, shape (n,).
-
-    Ticks without any touch messages do not count as a lost contact.
-    """
+    """Return the ticks with a missing contact, shape (n,), except those without touch messages."""
     missing = np.isnan(record.contact_positions[:, :, 0])
     return np.asarray(missing.any(axis=1) & ~silent(record))
 

@@ -36,11 +36,7 @@ class Asked(NamedTuple):
 
 
 def read_asked(messages: TopicMessages) -> list[Asked]:
-    """Read an `accepted/<node>/requests` or `rejected/<node>`.
-
-    Raises:
-        BagError: If a message is broken.
-    """
+    """Read an `accepted/<node>/requests` or `rejected/<node>`; raise BagError if it is broken."""
     decoded = [decode("diagnostic_msgs/msg/DiagnosticArray", one) for one in messages.data]
     pairs = [(nanoseconds(each.header.stamp), each.status[0].values[0]) for each in decoded]
     return [Asked(stamp, pair.key, pair.value) for stamp, pair in pairs]
@@ -105,12 +101,9 @@ class Event:
 def events(
     record: Record, scenario: Scenario | None = None, *, dropped: float = math.nan
 ) -> list[Event]:
-    """Return the events of a run in order of time.
+    """Return the events of a run in order of time; without ground truth, none of kind ``slip``.
 
-    Args:
-        record: The run; without ground truth there are no ``slip`` events.
-        scenario: Its scenario, for the disturbances.
-        dropped: When the object was dropped, s; NaN if it was not.
+    `dropped` is the time of the drop, s; NaN if there was none.
     """
     found = [*_commands(record), *_of_fingers(record), *_reactions(record), *_gaps(record)]
     if not math.isnan(dropped):

@@ -50,14 +50,7 @@ START_S = 0.02
 
 @dataclass(frozen=True)
 class Judged:
-    """One number that the goal of a scenario limits.
-
-    Attributes:
-        name: Name of the quantity.
-        value: Its value, NaN if unknown.
-        limit: The largest acceptable value.
-        unit: Unit of both.
-    """
+    """One number that the goal of a scenario limits; its value is NaN if unknown."""
 
     name: str
     value: float

@@ -40,12 +40,7 @@ _TYPES = {
 
 @dataclass(frozen=True)
 class HandTopics:
-    """The topics of one hand in a bag.
-
-    Attributes:
-        prefix: Prefix of the relative names, ``/`` or ``/left/``.
-        fingers: Names of the fingers in the order of all arrays.
-    """
+    """The topics of one hand: their prefix, ``/`` or ``/left/``, and its fingers in array order."""
 
     prefix: str
     fingers: list[str]
@@ -78,12 +73,7 @@ class HandTopics:
 
 
 def find_prefix(topics: Iterable[str], namespace: str | None, bag: object) -> str:
-    """Return the prefix of the relative names of a hand's topics.
-
-    Args:
-        topics: Full names of all topics in the bag.
-        namespace: The hand's namespace; None if there is only one hand.
-        bag: Name of the bag, for the error text.
+    """Return the prefix of a hand's topics; `namespace` is None if there is only one hand.
 
     Raises:
         BagError: If there is no such hand, or more than one to choose from.
@@ -125,10 +115,6 @@ EARLY = 100_000_000
 
 def sections(messages: Mapping[str, TopicMessages], states: str) -> list[dict[str, TopicMessages]]:
     """Split the messages of a bag at its resets, each of which sets time back; oldest first.
-
-    Args:
-        messages: By full name; all have headers.
-        states: Full name of `joint_states`.
 
     Raises:
         MessageError: If a message has no valid header.
@@ -181,10 +167,7 @@ class Series:
         return len(self.stamps)
 
     def rows(self, name: str, count: int) -> Array:
-        """Return a group of doubles of every message, shape (n, count).
-
-        Messages that hold another number of doubles give NaN.
-        """
+        """Return a group of doubles per message, shape (n, count); NaN if their count differs."""
         out = np.full((len(self), count), np.nan)
         for table in self.tables:
             if table.layout.doubles[name][1] == count:
@@ -192,10 +175,7 @@ class Series:
         return out
 
     def joints(self, name: str, joints: list[str]) -> Array:
-        """Return a field of JointState messages in a given order of joints, shape (n, m).
-
-        Messages without that field or with other joints give NaN.
-        """
+        """Return a JointState field in the order of `joints`, shape (n, m); NaN if they differ."""
         out = np.full((len(self), len(joints)), np.nan)
         for table in self.tables:
             given = table.layout.texts[1:]

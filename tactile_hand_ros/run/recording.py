@@ -21,13 +21,7 @@ _NOT_EVERY_TICK = (names.ACCEPTED_POSE, names.ACCEPTED_FORCE, names.AUXILIARY_PO
 
 @dataclass(frozen=True)
 class TopicCount:
-    """How completely a topic was recorded.
-
-    Attributes:
-        messages: Number of messages, including repeated ones.
-        ticks: Number of ticks of the run that have a message.
-        complete: Whether every tick has one; None if that is not required.
-    """
+    """Messages of a topic, ticks with one, and whether all ticks have one; None if not required."""
 
     messages: int
     ticks: int
@@ -96,10 +90,7 @@ def _count(topic: str, series: Series, ticks: Times, topics: HandTopics) -> Topi
 
 
 def latencies(series: Mapping[str, Series], topics: HandTopics) -> NDArray[np.float64]:
-    """Return the wall time from each tick to the first command that answers it.
-
-    Shape (n,), s, in the order of the ticks; NaN if no command was recorded.
-    """
+    """Return the wall time [s] from each tick to its first command, shape (n,); NaN without one."""
     ticks, logged = first_ticks(series[topics.full(names.JOINT_STATES)])
     command = series[topics.full(names.JOINT_COMMAND)]
     stamps, first = np.unique(command.stamps, return_index=True)

@@ -33,13 +33,7 @@ class StudyError(TactileHandError):
 
 @dataclass(frozen=True, slots=True)
 class Point:
-    """One run of a study.
-
-    Attributes:
-        index: Number of the run in its study.
-        seed: Derived from the study's seed and the index.
-        values: The parameters.
-    """
+    """One run of a study; its seed follows from the study's seed and the index."""
 
     index: int
     seed: int

@@ -61,13 +61,7 @@ def median_interval(values: Array) -> tuple[float, float, float]:
 
 
 class Results:
-    """The finished runs of a sweep.
-
-    Attributes:
-        study: The study.
-        table: All columns.
-        scenario: Name of the scenario.
-    """
+    """The finished runs of a sweep."""
 
     def __init__(self, study: Study, table: Table) -> None:
         """Take a sweep of `make_sweep` and its table."""

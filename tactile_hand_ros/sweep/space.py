@@ -114,8 +114,7 @@ def _range(refusal: str, text: str, is_whole: bool) -> Range:
 def points(space: Space, runs: int, seed: int) -> Array:
     """Return the runs of a study as points in the unit cube, shape (n, d).
 
-    If every parameter has levels, these are all combinations; otherwise a Latin hypercube of `runs`
-    points.
+    These are all combinations if every parameter has levels, else a Latin hypercube.
     """
     shape = tuple(parameter.levels for parameter in space.values())
     if all(shape):

@@ -75,11 +75,7 @@ METRICS: Mapping[str, Measure] = {
 
 @dataclass(frozen=True)
 class ScenarioRun:
-    """A callable that runs a point of a sweep and returns `METRICS` and outcome.
-
-    Attributes:
-        base: The scenario before variation.
-    """
+    """Runs a point of a sweep on the scenario `base`; returns `METRICS` and outcome."""
 
     base: Scenario
 
@@ -93,11 +89,7 @@ class ScenarioRun:
         return {**numbers, "outcome": outcome(record, found)}
 
     def scenario_of(self, point: Point) -> Scenario:
-        """Return the scenario of a run.
-
-        Raises:
-            ConfigurationError: If a value is rejected.
-        """
+        """Return the scenario of a run; raise ConfigurationError if a value is rejected."""
         return self.base.changed({"seed": point.seed, **point.values})
 
 
@@ -109,14 +101,9 @@ def make_sweep(
     runs: int = 100,
     seed: int = 0,
 ) -> Study:
-    """Return a sweep as a study; both ends of every parameter are checked.
+    """Return a sweep as a study; check both ends of every parameter.
 
-    Args:
-        scenario: Name or file.
-        over: Parameters, see `parse_parameter`.
-        fixed: Values that stay the same, by path.
-        runs: Number of runs, if a parameter is a range without levels.
-        seed: Seed of everything random.
+    The arguments are those of `sweep.run`; `fixed` are its `changes`.
 
     Raises:
         ConfigurationError: If a name, path, range or value is invalid.

@@ -36,13 +36,7 @@ Table = Mapping[str, NDArray[Any]]
 
 @dataclass
 class Tally:
-    """The progress of a study.
-
-    Attributes:
-        total: Number of runs.
-        before: Runs that were finished before it started.
-        outcomes: Number of runs since then by outcome.
-    """
+    """The progress of a study; `before` counts the runs that were finished before it started."""
 
     total: int
     before: int = 0

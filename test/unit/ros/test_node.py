@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The base of all nodes: it survives bad messages and its own errors, says so, and knows peers."""
+"""The base of all nodes: it survives and reports bad messages and errors, and counts peers."""
 
 from __future__ import annotations
 
