@@ -53,7 +53,7 @@ def _sentence(finding: Any, model: type[BaseModel]) -> str:
         return f"{place} is missing, expected the {field.description if field else 'value'}{unit}."
     if kind == "value_error":
         reason = told.removeprefix("Value error, ")
-        return f"{place} is refused: {reason}." if location else f"{reason}."
+        return f"{place} is invalid: {reason}." if location else f"{reason}."
     _, should, expected = told.partition(" should ")
     told = f"but{should}{expected}" if should else told
     return f"{place} is {_value_text(finding['input'])}, {told}{unit}."

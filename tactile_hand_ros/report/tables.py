@@ -90,7 +90,7 @@ def _held(a: Assumption) -> str:
         return "throughout"
     times = ", ".join(f"{start:.2f} to {end:.2f} s" for start, end in a.broken[:3])
     more = f" and {len(a.broken) - 3} more" if len(a.broken) > 3 else ""
-    return f"{100.0 * a.held_fraction:.1f} %, not from {times}{more}"
+    return f"{100.0 * a.held_fraction:.1f} %, violated from {times}{more}"
 
 
 def bag_rows(b: BagMetrics) -> list[list[str]]:

@@ -60,7 +60,7 @@ def dropped_at(record: Record, releases: Sequence[float] = ()) -> float:
     has released, at `releases` in s, does not count as dropped.
     """
     missing = np.isnan(record.contact_positions[:, :, 0])
-    known = np.flatnonzero(~silent(record))  # of the other ticks, nothing was recorded
+    known = np.flatnonzero(~silent(record))  # the other ticks were not recorded
     held = np.flatnonzero((~missing[known]).sum(axis=1) >= _HOLDING)
     if not len(held) or held[-1] + 1 == len(known):
         return math.nan

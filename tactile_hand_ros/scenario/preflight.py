@@ -109,8 +109,8 @@ def _check_mode(scenario: Scenario) -> None:
     name, mode = scenario.manipulation_controller.law.name, scenario.slip_regulator.mode
     if name in LAWS and name != "optimal" and mode != "user":
         raise ConfigurationError(
-            f"the law '{name}' multiplies the grasp force by a distance, so that slip prevention "
-            f"would press with another force than it computes; set slip_regulator.mode to user "
+            f"the law '{name}' multiplies the grasp force by a distance, so slip prevention "
+            f"would apply a different force than it computes; set slip_regulator.mode to user "
             f"instead of {mode}, or the law to optimal"
         )
 

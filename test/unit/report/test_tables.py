@@ -88,9 +88,9 @@ def test_metrics_of_a_real_hand_that_dropped_the_object() -> None:
     [
         (math.nan, 0, "not judged"),
         (1.0, 0, "throughout"),
-        (0.9, 1, "90.0 %, not from 1.00 to 1.50 s"),
-        (0.5, 3, "50.0 %, not from 1.00 to 1.50 s, 2.00 to 2.50 s, 3.00 to 3.50 s"),
-        (0.5, 5, "50.0 %, not from 1.00 to 1.50 s, 2.00 to 2.50 s, 3.00 to 3.50 s and 2 more"),
+        (0.9, 1, "90.0 %, violated from 1.00 to 1.50 s"),
+        (0.5, 3, "50.0 %, violated from 1.00 to 1.50 s, 2.00 to 2.50 s, 3.00 to 3.50 s"),
+        (0.5, 5, "50.0 %, violated from 1.00 to 1.50 s, 2.00 to 2.50 s, 3.00 to 3.50 s and 2 more"),
     ],
 )
 def test_when_an_assumption_held(share: float, count: int, text: str) -> None:

@@ -118,7 +118,7 @@ def test_a_changed_scenario_says_it_to_all_nodes_and_leaves_the_first_as_it_is()
         ),
         (
             "manipulation_controller: {law: {name: pid}}",
-            r"law.name is refused: 'pid' is not a law. Expected one of optimal, contact, kawamura",
+            r"law.name is invalid: 'pid' is not a law. Expected one of optimal, contact, kawamura",
         ),
         ("law: a\nmanipulation_controller: {law: b}", r"'law' is given twice"),
         (
