@@ -129,7 +129,7 @@ def answered(batches: list[list[int]], previous: int | None = None) -> list[list
 
 
 def test_the_tick_before_those_that_wait_counts_and_the_first_of_all_has_none() -> None:
-    assert answered([[16], [17, 18], [19, 20]]) == [[16], [18], [20]]  # 17 alone is skipped
+    assert answered([[16], [17, 18], [19, 20]]) == [[16], [18], [20]]  # 17 does not start a stretch
     assert answered([[21, 22]]) == [[21, 22]]
 
 
