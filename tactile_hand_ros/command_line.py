@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What every command line of this package does alike: one sentence for each error, and its code."""
+"""Common behavior of all command lines: one sentence per error, and its exit code."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _ENDS: dict[signal.Signals, Any] = {
     signal.SIGTERM: signal.SIG_DFL,
     signal.SIGHUP: signal.SIG_DFL,
 }
-"""Signals that end a command, and what is done about each where nothing else was chosen."""
+"""Signals that end a command, and their default handlers."""
 
 
 def run_command(program: str, command: Callable[[], Any]) -> int:
@@ -31,9 +31,8 @@ def run_command(program: str, command: Callable[[], Any]) -> int:
         command: Returns an exit code, or anything else for success.
 
     Returns:
-        0 after success, 2 with one sentence on stderr when something was refused or could not be
-        read or written, 128 and the number of the signal when a signal ended it, such as 130 after
-        Ctrl-C.
+        0 after success; 2, with one sentence on stderr, if the input was rejected or could not be
+        read or written; 128 plus the number of a signal that ended it, such as 130 after Ctrl-C.
     """
     if sys.stdout is None:
         say(program, "the standard output is closed; redirect it to a file or to /dev/null.")
@@ -43,12 +42,12 @@ def run_command(program: str, command: Callable[[], Any]) -> int:
         with _ended_by_signals():
             code = command()
             sys.stdout.flush()
-    except BrokenPipeError:  # the reader of our output has left
+    except BrokenPipeError:  # the reader of our output is gone
         _drop_unwritten()
         return 0
     except (KeyboardInterrupt, _Signalled) as end:
         number = getattr(end, "number", signal.SIGINT)
-        _drop_unwritten()  # the terminal may be what has gone
+        _drop_unwritten()  # the terminal may be gone
         say(program, "interrupted." if number == signal.SIGINT else f"ended by {number.name}.")
         return 128 + int(number)
     except Exception as error:
@@ -61,19 +60,19 @@ def run_command(program: str, command: Callable[[], Any]) -> int:
 
 
 class _Signalled(BaseException):
-    """What a signal raises: Typer would turn a KeyboardInterrupt into a silent exit code."""
+    """Raised by a signal: Typer would turn a KeyboardInterrupt into a silent exit code."""
 
     def __init__(self, number: signal.Signals) -> None:
-        """Remember which it was."""
+        """Store the signal."""
         super().__init__(number)
         self.number = number
 
 
 @contextlib.contextmanager
 def _ended_by_signals() -> Iterator[None]:
-    """Let signals raise `_Signalled`, where nothing else is done about them.
+    """Let signals without another handler raise `_Signalled`.
 
-    So that a command ends what it has started: processes, bars, drafts of files.
+    A command can then clean up: processes, progress bars, unfinished files.
     """
     mine = [number for number, usual in _ENDS.items() if signal.getsignal(number) is usual]
     for number in mine:
@@ -95,24 +94,20 @@ class Interrupted(Exception):
 
 
 class Signals:
-    """Keeps the first SIGINT, SIGTERM or SIGHUP and wakes up the thread that waits.
-
-    Attributes:
-        number: The first signal that came, 0 if none.
-    """
+    """Stores the first SIGINT, SIGTERM or SIGHUP, and wakes up the waiting thread."""
 
     def __init__(self) -> None:
         """Start without a signal."""
         self.number = 0
-        # Its put may interrupt its get in the same thread, as a handler does. An event's set would
-        # wait for ever for the lock that the interrupted wait holds.
+        # A handler may interrupt `get` with `put` in the same thread. The `set` of an Event would
+        # deadlock on the lock that the interrupted `wait` holds.
         self._came: queue.SimpleQueue[int] = queue.SimpleQueue()
 
     def install(self) -> None:
-        """Take over the handlers; a SIGHUP that is ignored stays so, as ``nohup`` means it.
+        """Install the handlers; an ignored SIGHUP stays ignored, so that ``nohup`` works.
 
-        Shells without job control start what runs in the background with SIGINT ignored. As the
-        nodes of rclpy do, it is taken over all the same: it is how a run is ended.
+        Shells without job control start background jobs with SIGINT ignored. Like rclpy, this
+        handles it all the same, because SIGINT ends a run.
         """
         for number in _ENDS:
             if number != signal.SIGHUP or signal.getsignal(number) is not signal.SIG_IGN:
@@ -133,16 +128,12 @@ class Signals:
         return 128 + self.number
 
     def check(self) -> None:
-        """Raise `Interrupted` if a signal came."""
+        """Raise `Interrupted` if a signal has arrived."""
         if self.number:
             raise Interrupted(f"ended by {self.name}")
 
     def wait(self, seconds: float) -> None:
-        """Wait, but not longer than until a signal, and then raise.
-
-        Raises:
-            Interrupted: If a signal came.
-        """
+        """Wait for some seconds; raise Interrupted after a signal."""
         self.check()
         with contextlib.suppress(queue.Empty):
             self._came.get(timeout=seconds)
@@ -150,35 +141,35 @@ class Signals:
 
 
 def prepare_for_ros() -> None:
-    """Set HOME, without which rclpy finds no place for its logs and ends the process."""
+    """Set HOME: without it, rclpy has no folder for its logs and ends the process."""
     os.environ.setdefault("HOME", os.path.expanduser("~"))
 
 
 class LastingOutput:
-    """The standard output for work that must continue when nothing can be written any more."""
+    """Standard output for work that must continue even if it can no longer be written."""
 
     def __init__(self) -> None:
-        """Write to the standard output as it is now: a progress bar replaces it for a while."""
+        """Keep the current standard output: a progress bar replaces it for a while."""
         self._stream = sys.stdout
 
     def __getattr__(self, name: str) -> Any:
-        """Return what the standard output has besides."""
+        """Return any other attribute of the standard output."""
         return getattr(self._stream, name)
 
     def write(self, text: str) -> None:
-        """Write a text, or drop it."""
+        """Write text, or drop it."""
         with _dropped(self._stream):
             self._stream.write(text)
 
     def flush(self) -> None:
-        """Write what is buffered, or drop it."""
+        """Write the buffer, or drop it."""
         with _dropped(self._stream):
             self._stream.flush()
 
 
 @contextlib.contextmanager
 def _dropped(stream: Any) -> Iterator[None]:
-    """Drop what cannot be written; the interpreter would try again at its end."""
+    """Drop output that cannot be written; the interpreter would retry at exit."""
     try:
         yield
     except OSError:  # a full disk, or the terminal or reader is gone
@@ -186,14 +177,14 @@ def _dropped(stream: Any) -> Iterator[None]:
 
 
 def say(program: str, sentence: str) -> None:
-    """Print a sentence on stderr, where there is one."""
+    """Print a sentence on stderr if there is one."""
     if sentence and sys.stderr is not None:
         with _dropped(sys.stderr):
             print(f"{program}: {sentence}", file=sys.stderr, flush=True)
 
 
 def os_sentence(error: OSError) -> str:
-    """Return what an error of the operating system means, in one sentence."""
+    """Return the meaning of an operating system error in one sentence."""
     where = (
         f"'{error.filename}' cannot be used" if error.filename else "it cannot be read or written"
     )
@@ -202,7 +193,7 @@ def os_sentence(error: OSError) -> str:
 
 
 def _explained(error: Exception) -> tuple[str, int | None]:
-    """Return sentence and exit code of an error; no code if it is a defect."""
+    """Return sentence and exit code of an error; no code for a bug."""
     if isinstance(error, TactileHandError):
         return str(error), EXIT_REFUSED
     if isinstance(error, OSError):
@@ -213,14 +204,14 @@ def _explained(error: Exception) -> tuple[str, int | None]:
             f"({str(error).splitlines()[0]}); has this shell sourced another ROS? Start a new one.",
             EXIT_REFUSED,
         )
-    if hasattr(error, "show") and hasattr(error, "exit_code"):  # wrong usage, or help was asked for
+    if hasattr(error, "show") and hasattr(error, "exit_code"):  # wrong usage or a help request
         error.show()
         return "", int(error.exit_code)
     return "", None
 
 
 def _print_any_character() -> None:
-    """Write what the terminal's encoding lacks as an escape, instead of failing."""
+    """Write characters that the terminal cannot encode as escapes, instead of failing."""
     for stream in (sys.stdout, sys.stderr):
         if hasattr(stream, "reconfigure"):
             stream.reconfigure(errors="backslashreplace")

@@ -15,8 +15,8 @@ Result = TypeVar("Result")
 def with_options(command: Callable[..., Result]) -> Callable[..., Result]:
     """Show Typer the fields of a dataclass as the options of a command.
 
-    Each field is annotated as a parameter of a Typer command would be, so that a command with many
-    options declares them once and takes them as one value::
+    Annotate each field like a parameter of a Typer command. A command with many options then
+    declares them once and takes them as one value::
 
         @dataclass(frozen=True)
         class Options:
@@ -25,8 +25,7 @@ def with_options(command: Callable[..., Result]) -> Callable[..., Result]:
         @with_options
         def command(options: Options) -> None: ...
 
-    Args:
-        command: One of its parameters is annotated with a dataclass; the others stay as they are.
+    Other parameters of the command stay unchanged.
     """
     signature = inspect.signature(command, eval_str=True)
     parameters: list[inspect.Parameter] = []
@@ -62,7 +61,7 @@ def _parameters(options: Any) -> list[inspect.Parameter]:
 
 
 def _default(field: Field[Any]) -> Any:
-    """Return the default of a field; that of a parameter without one where it has none."""
+    """Return the default of a field, or that of a parameter without one."""
     if field.default_factory is not MISSING:
         return field.default_factory()
     return inspect.Parameter.empty if field.default is MISSING else field.default

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Libraries that are not needed to run a hand, and the error when one is missing."""
+"""Optional libraries, and the error when one is missing."""
 
 from __future__ import annotations
 
@@ -14,11 +14,7 @@ class MissingLibraryError(TactileHandError):
 
 
 def optional(module: str, purpose: str) -> Any:
-    """Import an optional library.
-
-    Args:
-        module: Name of the module.
-        purpose: What needs it, for the error text.
+    """Import an optional library; `purpose` names its user in the error text.
 
     Raises:
         MissingLibraryError: If it is not installed.

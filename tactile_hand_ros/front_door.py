@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a script or notebook calls: a scenario in, arrays, metrics, pictures and a report out."""
+"""The entry point for scripts and notebooks: run a scenario, get arrays, metrics and a report."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ def simulate(
 
     Args:
         scenario: Name of a scenario, or path of a YAML file.
-        changes: Other values by dotted key, such as ``{"plant.object.mass": 0.2}``.
-        law: The law of the hand: a class such as your own subclass of `OptimalLaw`, or a name.
-        progress: Called with the number of finished ticks, a hundred times in a run.
+        changes: New values by dotted key, such as ``{"plant.object.mass": 0.2}``.
+        law: The control law: a class such as your own subclass of `OptimalLaw`, or a name.
+        progress: Called with the number of finished ticks, a hundred times per run.
 
     Returns:
         The run, with the same interface as `Run`: ``record``, ``metrics``, ``events``,

@@ -10,10 +10,7 @@ __all__ = ["main"]
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run a command and return its exit code; see `app.main`.
-
-    A Ctrl-C while this loads is answered with one line as well.
-    """
+    """Run a command and return its exit code; handle a Ctrl-C during loading like `app.main`."""
     try:
         from tactile_hand_ros.cli import app
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`tactile-hand`: each command imports what it needs, so that help is fast."""
+"""`tactile-hand`: each command imports only its own dependencies, so that help is fast."""
 
 from __future__ import annotations
 
@@ -44,12 +44,12 @@ app = typer.Typer(
     help="Tactile in-hand manipulation: run, steer, record and study a hand.",
     no_args_is_help=True,
     pretty_exceptions_enable=False,
-    rich_markup_mode=None,  # it would read units such as [s] as markup and drop them
+    rich_markup_mode=None,  # rich would drop units such as [s] as markup
 )
 
 
 def _example(command: Callable[..., None]) -> str | None:
-    """Return what stands below the help of a command."""
+    """Return the text below the help of a command."""
     example = EXAMPLES.get(command.__name__)
     return example and f"Example: {PROGRAM} {example}"
 
@@ -88,13 +88,10 @@ def tactile_hand(
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run a command and return its exit code.
-
-    Args:
-        arguments: Command line without the program's name; None takes ``sys.argv``.
+    """Run a command and return its exit code; `arguments` lacks the program's name.
 
     Returns:
-        0 after success, 2 when something was refused (one sentence on stderr), 130 after Ctrl-C.
+        0 after success, 2 after a rejection (one sentence on stderr), 130 after Ctrl-C.
     """
     prepare_for_ros()
     use_own_prefix()

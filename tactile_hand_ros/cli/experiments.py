@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`tactile-hand scenarios`, `show`, `sweep` and `reproduce`: what can be run, and studies of it."""
+"""`tactile-hand scenarios`, `show`, `sweep` and `reproduce`: scenarios and studies of them."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What commands have in common: options, tables, progress, places to write to."""
+"""Common parts of the commands: options, tables, progress, output folders."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from tactile_hand_ros.sweep.table import Tally
 
 EXIT_DIFFERS = 1
-"""Exit code when a bag does not agree with what was computed from it."""
+"""Exit code if recomputed results differ from the bag."""
 
 BagArgument = Annotated[Path, typer.Argument(help="Folder of a run, or a bag folder or file.")]
 NamespaceOption = Annotated[
@@ -30,7 +30,7 @@ NamespaceOption = Annotated[
 
 def _number_of_processes(jobs: int) -> int:
     if jobs == 0:
-        raise typer.BadParameter("0 processes cannot work, expected 1 or more, or -1 for all cores")
+        raise typer.BadParameter("expected 1 or more processes, or -1 for all cores, got 0")
     return jobs
 
 
@@ -46,11 +46,7 @@ SeedOption = Annotated[int, typer.Option(help="Seed of everything random.", min=
 
 
 def check_writable(folder: Path) -> None:
-    """Create a folder for results, before any work is done for it.
-
-    Raises:
-        TactileHandError: If it cannot be created, or is read-only.
-    """
+    """Create a folder for results before the work starts; raise TactileHandError if it fails."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -58,11 +54,11 @@ def check_writable(folder: Path) -> None:
             f"{folder} cannot be created ({error.strerror}); choose another folder."
         ) from None
     if not os.access(folder, os.W_OK):
-        raise TactileHandError(f"Nothing can be written to {folder}; choose another folder.")
+        raise TactileHandError(f"{folder} is not writable; choose another folder.")
 
 
 def console(stderr: bool = False) -> Console:
-    """Return where to print; wide enough for tables in files and pipes."""
+    """Return a console that is wide enough for tables in files and pipes."""
     from rich.console import Console
 
     made = Console(stderr=stderr)
@@ -79,21 +75,17 @@ def print_table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]
 
 
 def print_files(files: Sequence[Path], folder: Path) -> None:
-    """Print what was written to a folder."""
+    """Print the names of the files written to a folder."""
     print(f"{counted(len(files), 'file')} in {folder}: {', '.join(file.name for file in files)}")
 
 
 @contextlib.contextmanager
 def bar(title: str, total: float | None = None) -> Iterator[Callable[..., None]]:
-    """Show a bar on a terminal; nothing elsewhere.
-
-    Args:
-        title: What is done.
-        total: How much there is to do, if it is known.
+    """Show a bar on a terminal, nothing elsewhere; without `total`, it has no end.
 
     Yields:
         A function that updates the bar; see `rich.progress.Progress.update`. Its field ``text`` is
-        shown behind the bar.
+        shown next to the bar.
     """
     from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
@@ -114,14 +106,14 @@ def bar(title: str, total: float | None = None) -> Iterator[Callable[..., None]]
 
 @contextlib.contextmanager
 def steps(title: str, total: int) -> Iterator[Callable[[str], None]]:
-    """Show a bar for some steps; yields a function to call with the name of each that is done."""
+    """Show a bar for some steps; yield a function to call with the name of each finished step."""
     with bar(title, total) as update:
         yield lambda latest: update(advance=1, text=latest)
 
 
 @contextlib.contextmanager
 def progress(title: str) -> Iterator[Callable[[Tally], None]]:
-    """Show how far a study is."""
+    """Show the progress of a study."""
     with bar(title) as update:
 
         def watch(tally: Tally) -> None:

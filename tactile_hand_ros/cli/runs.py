@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a recorded run shows, and its bag: published, recomputed or repaired."""
+"""The commands for a recorded run and its bag: report, summary, replay and recover."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def _open(path: Path, namespace: str | None) -> Run:
 
     opened = Run(path, namespace=namespace)
     if opened.scenario_problem:
-        text = f"note: without its scenario, which does not fit: {opened.scenario_problem}"
+        text = f"warning: ignoring the recorded scenario: {opened.scenario_problem}"
         print(text, file=sys.stderr)
     return opened
 
@@ -96,22 +96,22 @@ def replay(
         _recompute(bag, namespace, law)
         return
     if law:
-        raise TactileHandError("--law was given, expected --recompute too.")
+        raise TactileHandError("--law is set without --recompute; add --recompute.")
     if not 0.0 < rate < float("inf"):
         raise TactileHandError(f"--rate is {rate}, expected a number above 0.")
     _publish(bag, rate, topics or [".*"], exclude or [], namespace)
 
 
 def _recompute(bag: Path, namespace: str, law: str) -> None:
-    """Ask the controllers again, and compare their answers with those in the bag."""
+    """Recompute the controllers' answers and compare them with those in the bag."""
     from tactile_hand_ros.run.run import Run
     from tactile_hand_ros.verify import recompute as r
 
     result = r.recompute(Run(bag, namespace=namespace or None), law)
     print_table("recorded and recomputed", r.COLUMNS, [each.row for each in result.comparisons])
     if not result.same:
-        text = "The answers differ: the law is another one, messages were lost (see `tactile-hand "
-        print(f"{text}summary`), or code or libraries are of other versions.", file=sys.stderr)
+        text = "The answers differ: another law, other versions of code or libraries, or lost "
+        print(f"{text}messages (see `tactile-hand summary`).", file=sys.stderr)
         raise typer.Exit(EXIT_DIFFERS)
 
 
@@ -127,7 +127,7 @@ def _publish(
         from tactile_hand_ros.ros.middleware import full_namespace
     except ModuleNotFoundError as error:
         raise TactileHandError(
-            f"Replay publishes in ROS, but there is no module '{error.name}'; source ROS 2 or "
+            f"Replay needs ROS 2, but there is no module '{error.name}'; source ROS 2 or "
             "install its wheels."
         ) from None
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`tactile-hand move`, `squeeze`, `grasp`, `release` and `reset`: steering a running hand."""
+"""`tactile-hand move`, `squeeze`, `grasp`, `release` and `reset`: steer a running hand."""
 
 from __future__ import annotations
 
@@ -101,7 +101,7 @@ def _hand(namespace: str, timeout: float) -> Iterator[HandClient]:
     run_interpreted()  # a few rotations do not justify loading Numba
     from tactile_hand_ros.ros.middleware import check_environment
 
-    check_environment(os.environ)  # before rclpy is loaded, which ends the process
+    check_environment(os.environ)  # before rclpy is loaded: it would end the process
     from tactile_hand_ros.orchestrator.steering import HandClient
     from tactile_hand_ros.ros import middleware
 

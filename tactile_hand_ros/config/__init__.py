@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Configuration: typed models of YAML files, hand files, and where the files are."""
+"""Configuration: typed models of YAML files, hand files, and their locations."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a field accepts and why a value is refused, in words: the place, the value, the limits."""
+"""Describe the values that a field accepts, and why one is rejected."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from tactile_hand_ros.errors import ConfigurationError, nearest, shortened
 _MOST_LISTED = 30  # names in a sentence
 
 Source = str | Callable[[str], str]
-"""Where a value came from: the name of a file or interface, or a function of its dotted place."""
+"""Source of a value: the name of a file or interface, or a function of its dotted place."""
 
 
 def explain(
     error: ValidationError, model: type[BaseModel], source: Source = ""
 ) -> ConfigurationError:
-    """Turn pydantic's first finding into a sentence: place, what was given, what is allowed."""
+    """Turn pydantic's first finding into a sentence: place, given value, allowed values."""
     finding = error.errors(include_url=False)[0]
     place = _place(finding["loc"])
     origin = source if isinstance(source, str) else source(place)
@@ -32,7 +32,7 @@ def explain(
 
 
 def after_source(source: str) -> str:
-    """Return where something came from as the beginning of a sentence; empty if unknown."""
+    """Return a source as the start of a sentence; empty if unknown."""
     return f"{source}: " if source else ""
 
 
@@ -42,7 +42,7 @@ def _place(location: Iterable[int | str]) -> str:
 
 
 def _sentence(finding: Any, model: type[BaseModel]) -> str:
-    """Return pydantic's finding as a sentence with place, value, what it should be and its unit."""
+    """Return pydantic's finding as a sentence with place, value, expectation and unit."""
     location, kind, told = finding["loc"], finding["type"], finding["msg"].rstrip(".")
     place, (fields, field) = _place(location) or "the content", _walk(model, location)
     unit = f" [{unit_of(field)}]" if field is not None and unit_of(field) else ""
@@ -53,18 +53,18 @@ def _sentence(finding: Any, model: type[BaseModel]) -> str:
         return f"{place} is missing, expected the {field.description if field else 'value'}{unit}."
     if kind == "value_error":
         reason = told.removeprefix("Value error, ")
-        return f"{place} is refused: {reason}." if location else f"{reason}."
+        return f"{place} is invalid: {reason}." if location else f"{reason}."
     _, should, expected = told.partition(" should ")
     told = f"but{should}{expected}" if should else told
     return f"{place} is {_value_text(finding['input'])}, {told}{unit}."
 
 
 def _value_text(value: Any) -> str:
-    """Return a value as text of at most 60 characters; references may make it huge."""
+    """Return a value as text of at most 60 characters; YAML references may make it huge."""
     value = value.value if isinstance(value, enum.Enum) else value
     try:
         return shortened(repr(value) if isinstance(value, str) else _SHORT.repr(value), 60)
-    except ValueError:  # a number of thousands of digits
+    except ValueError:  # a number with thousands of digits
         return "a number that is too long"
 
 
@@ -74,7 +74,7 @@ _SHORT.maxother = 100
 
 
 def did_you_mean(wrong: str, valid: Iterable[str]) -> str:
-    """Return a suffix that ends the sentence with the nearest valid name and, if few, with all."""
+    """Return the end of a sentence: the nearest valid name and, if there are few, all of them."""
     names = sorted(valid)
     hint = nearest(wrong, names)
     if len(names) > _MOST_LISTED:
@@ -85,7 +85,7 @@ def did_you_mean(wrong: str, valid: Iterable[str]) -> str:
 def _walk(
     model: Any, location: Iterable[int | str]
 ) -> tuple[Mapping[str, FieldInfo], FieldInfo | None]:
-    """Follow a location to all fields in its place and its own; unknown steps are skipped."""
+    """Follow a location and return all fields in its place and its own; skip unknown steps."""
     annotation, fields, field = model, dict[str, FieldInfo](), None
     for part in location:
         if isinstance(part, int):

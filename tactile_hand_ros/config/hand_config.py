@@ -12,7 +12,7 @@ from tactile_hand_ros.config.plain_yaml import find_file
 from tactile_hand_ros.errors import HandModelError
 
 _NAME = "^[A-Za-z_][A-Za-z0-9_]{0,59}$"
-"""What ROS takes as part of the name of a topic."""
+"""Names that are valid in a ROS topic."""
 _MOST_FINGERS = 32
 
 
@@ -71,10 +71,7 @@ class HandConfig(Config):
         return [finger.radius for finger in self.fingers]
 
     def layout(self, name: str = "") -> dict[str, MountConfig]:
-        """Return the placements of a layout.
-
-        Args:
-            name: Name of the layout; empty for the default one.
+        """Return the placements of a layout, by default of the hand's default layout.
 
         Raises:
             HandModelError: If there is no such layout.

@@ -60,9 +60,9 @@ class Config(BaseModel):
     @field_validator("*", mode="before")
     @classmethod
     def _refuse_lookalikes(cls, value: Any, info: ValidationInfo) -> Any:
-        """Refuse ``true`` where a number is meant; pydantic would convert it.
+        """Reject ``true`` for a number; pydantic would convert it.
 
-        A text such as ``1e3`` is a number: only YAML 1.1 takes it for text.
+        Text such as ``1e3`` is a number: only YAML 1.1 parses it as text.
         """
         annotation = cls.model_fields[str(info.field_name)].annotation
         if element_type(annotation) in (int, float):
@@ -74,19 +74,16 @@ class Config(BaseModel):
     @field_validator("*")
     @classmethod
     def _refuse_degrees(cls, value: Any, info: ValidationInfo) -> Any:
-        """Refuse angles that can only be meant in degrees."""
+        """Reject angles that are obviously in degrees."""
         if unit_of(cls.model_fields[str(info.field_name)]) == "rad" and value is not None:
             _check_radians(value if isinstance(value, SEQUENCES) else [value])
         return value
 
     def changed(self: C, changes: Mapping[str, Any]) -> C:
-        """Return a validated copy with other values.
-
-        Args:
-            changes: New values by dotted name, e.g. ``{"object.mass": 0.2}``.
+        """Return a validated copy with new values by dotted name, e.g. ``{"object.mass": 0.2}``.
 
         Raises:
-            ConfigurationError: If a name is unknown or a value is refused.
+            ConfigurationError: If a name is unknown or a value is rejected.
         """
         return from_flat(type(self), {**flatten(self), **changes})
 
@@ -123,7 +120,7 @@ def from_flat(model: type[C], values: Mapping[str, Any], source: str = "") -> C:
     """Build a configuration from values by dotted name.
 
     Raises:
-        ConfigurationError: If a name is unknown or a value is refused.
+        ConfigurationError: If a name is unknown or a value is rejected.
     """
     tree: dict[str, Any] = {}
     for name, value in values.items():
@@ -139,15 +136,10 @@ def from_flat(model: type[C], values: Mapping[str, Any], source: str = "") -> C:
 
 
 def validate(model: type[C], data: Any, source: Source = "") -> C:
-    """Validate plain data against a model.
-
-    Args:
-        model: The configuration class.
-        data: Nested mappings as read from YAML.
-        source: Where it came from, for the error text.
+    """Validate plain data, nested mappings as read from YAML, against a model.
 
     Raises:
-        ConfigurationError: With source, dotted place and allowed values of every mistake.
+        ConfigurationError: With source, dotted place and allowed values of the first mistake.
     """
     try:
         return model.model_validate(data)
@@ -164,15 +156,11 @@ def load_yaml(path: str | Path, model: type[C]) -> C:
     return validate(model, read_yaml(path), str(path))
 
 
-_FULL_TURN = 2.0 * math.pi + 1e-3  # rad; it may be written with few digits
+_FULL_TURN = 2.0 * math.pi + 1e-3  # rad; tolerates a rounded value
 
 
 def _check_radians(angles: Sequence[float]) -> None:
-    """Refuse angles of which no user means as many radians; say what they are as degrees.
-
-    Args:
-        angles: Angles, or a rotation vector, in rad.
-    """
+    """Reject implausibly large angles or rotation vectors in rad; suggest degrees."""
     if any(abs(angle) > _FULL_TURN for angle in angles):
         given, meant = _listed(angles), _listed([math.radians(angle) for angle in angles])
         raise ValueError(

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where the configuration files and this package are: a source tree, a workspace, an install."""
+"""Locations of the configuration files and of this package, for any kind of installation."""
 
 from __future__ import annotations
 
@@ -16,17 +16,14 @@ _SHARE = Path("share") / "tactile_hand_ros" / "config"
 
 
 def config_directory() -> Path:
-    """Find the directory with ``hands/`` and ``scenarios/``.
+    """Return the absolute path of the directory with ``hands/`` and ``scenarios/``.
 
-    The first that exists of: ``config/`` beside the package (a source tree),
+    It is the first that exists of: ``config/`` next to the package (a source tree),
     ``share/tactile_hand_ros/config`` of every prefix in ``AMENT_PREFIX_PATH`` (a ROS workspace),
     the same below ``sys.prefix`` (a virtual environment).
 
-    Returns:
-        Absolute path of the directory.
-
     Raises:
-        ConfigurationError: No such directory.
+        ConfigurationError: If there is none.
     """
     candidates = list(_candidates())
     for candidate in candidates:
@@ -42,9 +39,9 @@ def scenario_names() -> list[str]:
 
 
 def _candidates() -> Iterator[Path]:
-    """Yield the places to look at, best first."""
+    """Yield the candidates, best first."""
     tree = Path(__file__).resolve().parents[2]
-    # Some unrelated config/ may lie beside an installed package: package.xml marks our own tree.
+    # An unrelated config/ may lie next to an installed package: package.xml marks our own tree.
     if (tree / "package.xml").is_file():
         yield tree / "config"
     for prefix in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep):
@@ -56,8 +53,8 @@ def _candidates() -> Iterator[Path]:
 def use_own_prefix() -> None:
     """Put the prefixes of this package and of this interpreter on AMENT_PREFIX_PATH.
 
-    Executables and message definitions are looked up there. Where the package is listed already,
-    as in a sourced workspace, nothing changes.
+    Executables and message definitions are looked up there. A package that is already listed, as in
+    a sourced workspace, is not added again.
     """
     listed = [entry for entry in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if entry]
     if any((Path(entry) / _MARK).exists() for entry in listed):
@@ -67,7 +64,7 @@ def use_own_prefix() -> None:
 
 
 def own_prefixes() -> Iterator[Path]:
-    """Yield the prefix of this package and that of this interpreter, where they have an index."""
+    """Yield the prefixes of this package and of this interpreter that have an ament index."""
     for folder in Path(__file__).resolve().parents:
         if (folder / _MARK).exists():
             yield folder

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""YAML files as plain data, with one sentence for what is wrong."""
+"""Read YAML files as plain data, with one-sentence errors."""
 
 from __future__ import annotations
 
@@ -15,26 +15,22 @@ from tactile_hand_ros.config.paths import config_directory
 from tactile_hand_ros.errors import ConfigurationError
 
 LARGEST = 2**20
-"""Largest text file that is read [B]."""
+"""Maximum size of a text file [B]."""
 
 LARGEST_YAML = 2**17
-"""Largest YAML file that is read [B]; its parser reads some 50 kB a second."""
+"""Maximum size of a YAML file [B]; the parser reads about 50 kB/s."""
 
 
 SUFFIXES = (".yaml", ".yml")
 
 
 def find_file(kind: str, name: str) -> Path:
-    """Return the YAML file of a hand or scenario, by its name in the package or by its path.
-
-    Args:
-        kind: ``hand`` or ``scenario``.
-        name: Such as ``paper`` or ``my/paper.yaml``.
+    """Return the YAML file of a ``hand`` or ``scenario``, by name in the package or by path.
 
     Raises:
         ConfigurationError: If neither a file nor one of that name exists.
     """
-    path = Path(os.path.expanduser(name))  # as it is where there is no such user
+    path = Path(os.path.expanduser(name))  # unchanged if there is no such user
     folder = config_directory() / f"{kind}s"
     known = sorted(file.stem for file in folder.glob("*.yaml"))
     if path.suffix in SUFFIXES:
@@ -67,7 +63,7 @@ def read_text(path: str | Path, largest: int = LARGEST) -> str:
         raise _unreadable(path, f"not UTF-8 text, see byte {error.start}") from None
     except OSError as error:
         raise _unreadable(path, str(error.strerror)) from None
-    except ValueError as error:  # a name that no file can have
+    except ValueError as error:  # an invalid file name
         raise _unreadable(path, str(error)) from None
 
 
@@ -101,9 +97,7 @@ def parse_yaml(text: str, source: str = "") -> Any:
     except RecursionError:
         raise _not_yaml(source, "this file", "it is nested too deeply") from None
     except (ValueError, ArithmeticError, LookupError, AttributeError, TypeError) as error:
-        raise _not_yaml(
-            source, "this file", f"a value is not what it looks like ({error})"
-        ) from None
+        raise _not_yaml(source, "this file", f"a value is invalid ({error})") from None
     return {} if data is None else data
 
 
@@ -115,12 +109,8 @@ def _not_yaml(source: str, place: str, problem: str) -> ConfigurationError:
 def parse_changes(changes: Sequence[str], example: str = "plant.rate=250") -> dict[str, Any]:
     """Read ``key=value`` texts of a command line; values are YAML.
 
-    Args:
-        changes: The texts.
-        example: A good one, for the error.
-
     Raises:
-        ConfigurationError: If key or value is missing, or the value is not YAML.
+        ConfigurationError: If key or value is missing, or the value is not YAML; shows `example`.
     """
     found: dict[str, Any] = {}
     for change in changes:

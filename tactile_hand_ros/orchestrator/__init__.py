@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The orchestrator: starts the nodes of a scenario, watches, commands, stops and summarizes."""
+"""The orchestrator: start the nodes of a scenario, watch, command, stop and summarize."""
 
 from tactile_hand_ros.orchestrator.command import main
 

@@ -1,8 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The command line of the orchestrator, which is `tactile-hand run` too.
-
-Only what the help needs is loaded here; `execute` loads the rest.
-"""
+"""The command line of the orchestrator and of `tactile-hand run`; `execute` loads the rest."""
 
 from __future__ import annotations
 
@@ -36,14 +33,14 @@ def run(context: typer.Context, options: RunOptions) -> None:
 
 
 def _run(options: RunOptions, signals: Signals, ros_arguments: Sequence[str], program: str) -> int:
-    """Load what runs a scenario, do so and return the exit code."""
+    """Load the orchestrator, run a scenario and return the exit code."""
     from tactile_hand_ros.ros.middleware import check_environment
 
     check_environment(os.environ)
-    # Loading takes half a second; a Ctrl-C in that time must not tear an import apart.
+    # Loading takes half a second; a Ctrl-C during that time must not interrupt an import.
     from tactile_hand_ros.compiled import run_interpreted
 
-    run_interpreted()  # the few steps of the check do not justify loading Numba
+    run_interpreted()  # the check is too short to justify loading Numba
     from tactile_hand_ros.orchestrator.execute import execute
 
     try:
@@ -60,11 +57,7 @@ def _watching() -> Signals:
 
 
 def main(args: Sequence[str] | None = None) -> int:
-    """Run the orchestrator and return its exit code.
-
-    Args:
-        args: Command line with program name; None takes ``sys.argv``.
-    """
+    """Run the orchestrator and return its exit code; `args` includes the program name."""
     prepare_for_ros()
     signals = _watching()
     line = list(sys.argv if args is None else args)
@@ -82,7 +75,7 @@ def main(args: Sequence[str] | None = None) -> int:
 
 
 def split_ros_arguments(line: Sequence[str]) -> tuple[list[str], list[str]]:
-    """Split a command line with program name into our own arguments and a line for rclpy.
+    """Split a command line with program name into our arguments and a line for rclpy.
 
     Raises:
         ConfigurationError: If the ROS arguments are malformed.

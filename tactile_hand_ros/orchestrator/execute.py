@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the command line of the orchestrator does: check, prepare, run, judge and show."""
+"""The steps of an orchestrator run: check, prepare, run, judge and show."""
 
 from __future__ import annotations
 
@@ -40,12 +40,12 @@ def execute(options: RunOptions, signals: Signals, ros_arguments: Sequence[str] 
     """Run a scenario with these options, and return the exit code.
 
     Raises:
-        TactileHandError: If it was refused; nothing was started.
+        TactileHandError: If the scenario was rejected; nothing was started.
         Interrupted: If a signal came before anything was started.
     """
     scenario = _checked(options)
     scheduling = Scheduling(parse_priority(str(options.priority)))
-    # Where nothing has been compiled yet this takes long; the plant would miss its deadline.
+    # The first compilation takes long; during a run the plant would miss its deadlines.
     ensure_compiled(signals.wait)
     plan = Plan(
         scenario=scenario,
@@ -58,7 +58,7 @@ def execute(options: RunOptions, signals: Signals, ros_arguments: Sequence[str] 
     )
     output = LastingOutput()
     console = line_console(cast(IO[str], output), width=None if output.isatty() else _WIDTH)
-    # The lock is free before the results are read: the next run may start meanwhile.
+    # Release the lock before reading the results, so that the next run may start.
     with ros_context(ros_arguments) as ros, single_run_lock(ros.get_domain_id(), plan.namespace):
         signals.check()
         directory = RunDirectory.create(options.out, plan.scenario.name)
@@ -71,7 +71,7 @@ def execute(options: RunOptions, signals: Signals, ros_arguments: Sequence[str] 
 
 
 def _checked(options: RunOptions) -> Scenario:
-    """Load a scenario and make sure that it can work."""
+    """Load a scenario and check that it can work."""
     own = {"duration": options.duration, "plant.pacing": options.pacing}
     given = {key: value for key, value in own.items() if value is not None}
     changes = parse_changes(options.changes)
@@ -83,12 +83,12 @@ def _checked(options: RunOptions) -> Scenario:
 
 
 def shares_process(scenario: Scenario, composed: bool | None) -> bool:
-    """Return whether the nodes share a process: by the option, otherwise in real time."""
+    """Return whether the nodes share a process: by the option, otherwise in real time only."""
     return scenario.plant.pacing == "realtime" if composed is None else composed
 
 
 def _announce(plan: Plan, directory: RunDirectory, options: RunOptions, console: Console) -> None:
-    """Show what starts."""
+    """Announce the run."""
     show = functools.partial(console.print, soft_wrap=True)
     show(f"{plan.scenario.name}: {plan.scenario.description}")
     if plan.composed and options.composed is None:
@@ -108,7 +108,7 @@ def _conclude(
     console: Console,
 ) -> int:
     """Judge a run, write and show its results, and return the exit code."""
-    # Imported late: it takes a tenth of a second, for which the hand would wait.
+    # Imported late: it takes 0.1 s, which would delay the start of the hand.
     from tactile_hand_ros.orchestrator import results
 
     show = functools.partial(console.print, soft_wrap=True)
@@ -135,19 +135,14 @@ def _conclude(
 
 @contextlib.contextmanager
 def single_run_lock(domain: int, namespace: str) -> Iterator[None]:
-    """Lock a domain and namespace on this machine: a hand must not have two masters.
+    """Lock a domain and namespace on this machine, so that each hand has one orchestrator only.
 
-    The lock is a name among the abstract sockets. It ends with this process, however that dies,
-    and leaves no file behind.
-
-    Args:
-        domain: ROS domain id.
-        namespace: Namespace of the run.
+    The lock is an abstract socket: the kernel removes it when this process exits, however it ends.
 
     Raises:
         RunInProgressError: If another run holds it.
     """
-    name = hashlib.sha256(f"{domain}{namespace}".encode()).hexdigest()  # of any length
+    name = hashlib.sha256(f"{domain}{namespace}".encode()).hexdigest()  # of fixed length
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as lock:
         try:
             lock.bind(f"\0tactile_hand_ros/{name}")

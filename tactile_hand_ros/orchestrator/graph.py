@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is still missing before a run can start, by what its nodes report about themselves."""
+"""Find out what a run still waits for before it can start, from the nodes' diagnostics."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from tactile_hand_ros.ros.node import PUBLICATIONS, SUBSCRIPTIONS
 def missing_endpoints(
     node: Node, members: Sequence[str], facts: Mapping[str, Mapping[str, str]]
 ) -> Iterator[tuple[str, str]]:
-    """Yield what is still missing: the name of a node, and a sentence.
+    """Yield each missing endpoint: the name of a node, and a sentence.
 
-    That a publisher and a subscription exist is not enough: each must have matched the other, which
-    only the two nodes know. Each node reports its own in its diagnostics.
+    Existing endpoints are not enough: each publisher and subscription must have matched the other.
+    Only the two nodes can see this, and report it in their diagnostics.
 
     Args:
         node: Any node in the namespace of the run.
-        members: Names of the nodes. A recorder among them must receive every topic but the
-            commands of users; leave out one that shares a process with the publishers.
+        members: Names of the nodes. A recorder among them must receive every topic except user
+            commands; omit a recorder that shares a process with the publishers.
         facts: The values in the diagnostics of the nodes, by full name.
     """
     prefix = node.get_namespace().rstrip("/")
@@ -44,7 +44,7 @@ def missing_endpoints(
 
 
 def _ends(reports: Mapping[str, Mapping[str, str] | None], end: str) -> dict[str, dict[str, int]]:
-    """Return how many peers each node has matched, by topic and name of the node."""
+    """Return the number of matched peers by topic and name of the node."""
     found: dict[str, dict[str, int]] = {}
     for name, values in reports.items():
         for key, count in (values or {}).items():

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a running hand reports, and how the terminal shows it."""
+"""The diagnostics of a running hand, and how the terminal shows them."""
 
 from __future__ import annotations
 
@@ -23,25 +23,20 @@ from tactile_hand_ros.names import CONTROLLER, PLANT, REGULATOR
 from tactile_hand_ros.ros.diagnostics import OK, STALE
 from tactile_hand_ros.ros.endpoints import subscribe_directly, take_latest, taken
 
-_BAR_PERIOD = 0.1  # s between two updates of the bar
-_LINE_PERIOD = 2.0  # s between two plain lines
+_BAR_PERIOD = 0.1  # s between updates of the bar
+_LINE_PERIOD = 2.0  # s between plain lines
 
 
 class Monitor:
     """The newest diagnostics of the nodes, decoded only on demand.
 
-    A subscription to a topic of the tick costs its publisher a packet a tick: a tenth of what a
-    tick takes in one process. A run is therefore followed by its diagnostics, which come once a
-    second, and from the plant also at the first answer and the last.
+    A subscription to a topic of the tick costs its publisher one packet per tick: a tenth of the
+    time of an in-process tick. A run is therefore followed by its diagnostics. They arrive once per
+    second, and from the plant also at the first and the last answer.
     """
 
     def __init__(self, node: Node, *, closely: bool) -> None:
-        """Subscribe.
-
-        Args:
-            node: A node in the namespace of the run. Its executor does not see the subscriptions.
-            closely: Whether to follow each tick, because something is sent at a given one.
-        """
+        """Subscribe outside the node's executor; `closely` follows every tick, to send commands."""
         self._node = node
         self._diagnostics = subscribe_directly(
             node, DiagnosticArray, names.DIAGNOSTICS, QoSProfile(depth=100)
@@ -54,11 +49,11 @@ class Monitor:
         self.tick = -1
 
     def answered(self) -> int:
-        """Return the newest tick that is known to be answered [ns], -1 before the first."""
+        """Return the newest tick known to be answered [ns], -1 before the first."""
         if not self._commands:
             self.tick = int(self.of(PLANT).get("answered_ns", -1))
         elif (data := take_latest(self._commands)) is not None:
-            with contextlib.suppress(MessageError):  # the plant rejects it too, and reports it
+            with contextlib.suppress(MessageError):  # the plant rejects and reports it
                 self.tick = header_stamp(data)
         return self.tick
 
@@ -69,7 +64,7 @@ class Monitor:
         return [f"{name}: {text}" for name, text in sorted(wrong.items())]
 
     def facts(self) -> dict[str, dict[str, str]]:
-        """Return the values in the newest diagnostics, by full name of the node."""
+        """Return the values of the newest diagnostics, by full name of the node."""
         for data, _ in taken(self._diagnostics):
             for status in deserialize_message(data, DiagnosticArray).status:
                 self._status[status.name] = (status.level, status.message)
@@ -77,7 +72,7 @@ class Monitor:
         return self._facts
 
     def of(self, node: str) -> dict[str, str]:
-        """Return the values in the newest diagnostics of a node of this hand."""
+        """Return the values of the newest diagnostics of a node of this hand."""
         return self.facts().get(f"{self._node.get_namespace().rstrip('/')}/{node}", {})
 
     @property
@@ -88,7 +83,7 @@ class Monitor:
         return is_still and self.answered() >= int(plant["tick_ns"])
 
     def in_words(self) -> str:
-        """Return pose error and grasp force; no error where nothing is driven."""
+        """Return pose error and grasp force in words; no error unless the controller is driving."""
         controller, force = self.of(CONTROLLER), self.of(REGULATOR).get("grasp_force_n")
         mode, error = controller.get("mode", ""), float(controller.get("position_error_m", "nan"))
         if mode not in ("", "drive"):  # after a drop, for example, the last error is stale
@@ -101,26 +96,15 @@ class Monitor:
 
 
 def line_console(file: IO[str], **options: Any) -> Console:
-    """Return a console that prints texts as they are; lines with ``soft_wrap`` are not folded."""
+    """Return a console that prints text unchanged; ``soft_wrap`` keeps lines unfolded."""
     return Console(file=file, highlight=False, markup=False, **options)
 
 
 class View:
-    """Shows how far a run is: by a bar on a terminal, by lines elsewhere.
-
-    Attributes:
-        period: Time between two updates [s].
-        bar: To be entered as long as the run is shown.
-    """
+    """Progress of a run: a bar on a terminal, lines elsewhere, updated every `period` [s]."""
 
     def __init__(self, console: Console, duration: float | None, *, quiet: bool) -> None:
-        """Prepare.
-
-        Args:
-            console: Where to write; see `line_console`.
-            duration: Simulated time of the run [s], None for an endless run.
-            quiet: Whether to write nothing.
-        """
+        """Prepare; `duration` is the simulated time of the run [s], None for an endless run."""
         self._console, self._of = console, "" if duration is None else f"{duration:g}"
         self._first: tuple[float, float] | None = None  # wall and simulated time, s
         self._fault = ""
@@ -131,14 +115,14 @@ class View:
             rich.progress.BarColumn(bar_width=None),
             rich.progress.TextColumn("{task.fields[facts]}", markup=False),
             console=console,
-            auto_refresh=False,  # drawn by this thread, no other one takes its time
+            auto_refresh=False,  # drawn by this thread; another one would take processor time
             transient=True,
             disable=quiet or not has_bar,
         )
         self._task = self.bar.add_task("", total=duration, facts="")
 
     def show(self, monitor: Monitor) -> None:
-        """Show how far the run is, and the first fault when there is another."""
+        """Show the progress of the run, and the first fault if it has changed."""
         if self.period == math.inf:
             return
         at = max(0.0, 1e-9 * monitor.tick)

@@ -72,11 +72,7 @@ class RunOptions:
 
     @property
     def wanted(self) -> str:
-        """The scenario to run, by name or file.
-
-        Raises:
-            ConfigurationError: If it is given twice, or empty.
-        """
+        """The scenario to run, by name or file; ConfigurationError if given twice, or empty."""
         given = [name for name in (self.scenario, self.named) if name is not None]
         if len(given) > 1:
             raise ConfigurationError(

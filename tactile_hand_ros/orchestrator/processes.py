@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The processes of a run: started, watched and stopped.
+"""Start, watch and stop the processes of a run.
 
-Each leads a session of its own and gets a signal from the kernel when the orchestrator dies, so
-nothing outlives it.
+Each leads its own session. The kernel signals it when the orchestrator dies, so none is left over.
 """
 
 from __future__ import annotations
@@ -25,10 +24,10 @@ from tactile_hand_ros.ros.processes import (
 
 _TAIL = 15  # lines of a log that are shown
 _ROS2_PATIENCE = 20.0
-"""Time for ``ros2`` to say where this package is [s]; it takes one second on an idle computer."""
+"""Longest wait for ``ros2`` to find this package [s]; it takes one second on an idle computer."""
 
 Program = Callable[[str, list[str]], list[str]]
-"""From the name of an executable and the command to run it under to the whole command."""
+"""Returns the full command for an executable and the command that it runs under."""
 
 
 class NodeDiedError(TactileHandError):
@@ -36,15 +35,10 @@ class NodeDiedError(TactileHandError):
 
 
 class NodeProcess(ChildProcess):
-    """One process of the run, with a log.
-
-    Attributes:
-        name: Name of the executable.
-        log: File with its output.
-    """
+    """One process of the run, with a log file."""
 
     def __init__(self, name: str, command: Sequence[str], log: Path) -> None:
-        """Start a command, and create the log."""
+        """Start a command and create its log."""
         self.name, self.log = name, log
         with log.open("wb") as output:
             super().__init__(command, output, subprocess.STDOUT)
@@ -55,11 +49,7 @@ class NodeProcess(ChildProcess):
         return [line for line in text.splitlines() if line.strip()][-_TAIL:]
 
     def check(self) -> None:
-        """Raise if the process has ended.
-
-        Raises:
-            NodeDiedError: With its code and its last line.
-        """
+        """Raise NodeDiedError, with code and last line, if the process has ended."""
         code = self.returncode
         if code is None:
             return
@@ -72,11 +62,9 @@ class NodeProcess(ChildProcess):
 
 
 def started_by(name: str, guard: list[str]) -> list[str]:
-    """Return the command for an executable: ``ros2 run``, or its file where there is no ``ros2``.
+    """Return the command for an executable: ``ros2 run``, or its file if there is no ``ros2``.
 
-    Args:
-        name: Name of the executable.
-        guard: The command that it is run under.
+    The executable runs under the command `guard`.
 
     Raises:
         ExecutableError: If it does not exist.
@@ -101,7 +89,7 @@ def _ros2() -> str | None:
 
 
 class Processes:
-    """The processes of a run; nothing is left when the block ends."""
+    """The processes of a run; the context stops all of them when it exits."""
 
     def __init__(self, command: Program = started_by) -> None:
         """Prepare; `command` returns program and first arguments for an executable."""
@@ -113,17 +101,11 @@ class Processes:
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Stop what still runs."""
+        """Stop all running processes."""
         self.stop([list(self._started)])
 
     def start(self, name: str, log: Path, *arguments: str, records: bool = False) -> None:
-        """Start an executable of this package.
-
-        Args:
-            name: Its name.
-            log: File for its output.
-            *arguments: Its arguments.
-            records: Whether it must finish a bag when the orchestrator dies, before it ends.
+        """Start an executable; `records` lets it finish a bag if the orchestrator dies.
 
         Raises:
             ExecutableError: If it does not exist.
@@ -134,11 +116,7 @@ class Processes:
         self._started[name] = NodeProcess(name, command, log)
 
     def check(self) -> None:
-        """Raise if one of the processes has ended.
-
-        Raises:
-            NodeDiedError: With its name, code and last line.
-        """
+        """Raise NodeDiedError, with name, code and last line, if one of the processes has ended."""
         for process in self._started.values():
             process.check()
 
@@ -147,23 +125,16 @@ class Processes:
         return self._started[name].tail() if name in self._started else []
 
     def stop(self, order: Sequence[Sequence[str]]) -> list[str]:
-        """End processes, SIGINT first, SIGKILL last.
-
-        Args:
-            order: Names of those that end together, one group after the other.
-
-        Returns:
-            A sentence for each that did not end well.
-        """
+        """Stop groups in order, with SIGINT, finally SIGKILL; return a sentence per failure."""
         complaints: list[str] = []
         for names in order:
             group = [self._started[name] for name in names if name in self._started]
             running = [process for process in group if process.returncode is None]
             end_together(group)
             complaints += [
-                f"{process.name} did not end well: code {process.returncode}, see {process.log}"
+                f"{process.name} did not stop cleanly: code {process.returncode}, see {process.log}"
                 for process in running
-                # While it still loads, a process has no handler for SIGINT yet.
+                # While it loads, a process has no handler for SIGINT yet.
                 if process.returncode not in (0, -signal.SIGINT)
             ]
         return complaints

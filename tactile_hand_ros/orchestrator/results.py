@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The results of a run: read from its bag, judged, written and shown."""
+"""Read the results of a run from its bag, judge, write and show them."""
 
 from __future__ import annotations
 
@@ -32,19 +32,12 @@ EXIT_DROPPED = 3
 INCOMPLETE = "incomplete"
 _CTRL_C = 130  # exit code
 _JUDGED = ("final position error", "final orientation error |r_d|", "longest slip", "goal")
-"""Rows of the metrics that the table shows with their goals instead."""
+"""Rows of the metrics table that are shown with their goals instead."""
 
 
 @dataclass
 class RunResults:
-    """What the bag of a run contains.
-
-    Attributes:
-        run: The run as it was read, None without a bag or a tick.
-        metrics: What was achieved, None without a bag or a tick.
-        recording: Message counts against ticks, empty without a bag or a tick.
-        problems: A sentence for each thing that is wrong with the bag.
-    """
+    """The contents of a run's bag, None or empty without a bag or a tick, and its problems."""
 
     run: Run | None = None
     metrics: Metrics | None = None
@@ -53,13 +46,7 @@ class RunResults:
 
 
 def read_results(plan: Plan, directory: RunDirectory, outcome: RunOutcome) -> RunResults:
-    """Compute the results from the bag.
-
-    Args:
-        plan: What was to be run.
-        directory: The run.
-        outcome: What the orchestrator saw; all ticks of a complete run must be there.
-    """
+    """Compute the results from the bag; a complete run must contain all ticks."""
     if not plan.record:
         return RunResults()
     try:
@@ -72,7 +59,7 @@ def read_results(plan: Plan, directory: RunDirectory, outcome: RunOutcome) -> Ru
     # In real time a late plant skips ticks.
     expected = plan.scenario.ticks if outcome.is_complete and _is_lockstep(plan) else None
     recording |= {"expected_ticks": expected, LOST_KEY: lost}
-    # The table and `tactile-hand summary` name the topics.
+    # The table and `tactile-hand summary` list the topics.
     if recording["absent"] or (_is_lockstep(plan) and not recording["complete"]):
         results.problems.append("the recording is incomplete: topics or ticks are missing")
     if expected not in (None, ticks):
@@ -87,13 +74,13 @@ def _is_lockstep(plan: Plan) -> bool:
 
 
 def real_time_counts(plan: Plan, outcome: RunOutcome) -> dict[str, float] | None:
-    """Return how a run kept to real time, None in lockstep and where it did not start.
+    """Return how a run kept to real time, None in lockstep and for a run that did not start.
 
     Returns:
-        The rate that was asked for [Hz]; numbers of ticks: `due` by the wall clock, `late` (the
-        command came after the next tick was due, or not at all), `skipped` (due together with a
-        later one), `given_up` (the machine stood still, or a failed run never reached them); and
-        `missed_fraction`, from 0 to 1. The plant's last report may be a little older than the end.
+        The requested rate [Hz]; numbers of ticks: `due` by the wall clock, `late` (the command
+        came after the next tick was due, or never), `skipped` (due together with a later one),
+        `given_up` (the machine stalled, or a failed run never reached them); and `missed_fraction`,
+        from 0 to 1. The plant's last report may be slightly older than the end.
     """
     if _is_lockstep(plan) or outcome.last_tick < 0:
         return None
@@ -113,14 +100,14 @@ def real_time_counts(plan: Plan, outcome: RunOutcome) -> dict[str, float] | None
 
 @dataclass(frozen=True)
 class RunVerdict:
-    """How a run is judged.
+    """The verdict on a run.
 
     Attributes:
         outcome: ``goal reached``, ``goal not reached``, ``object dropped``, ``incomplete`` (the
-            goal was reached, but something is missing), ``finished`` (a user ended it, or there is
-            no bag by which to judge it), ``interrupted``, ``failed``.
-        reasons: Sentences that explain any other outcome than success.
-        exit_code: Of the orchestrator.
+            goal was reached, but data is missing), ``finished`` (a user ended it, or there is no
+            bag to judge it by), ``interrupted``, ``failed``.
+        reasons: Sentences that explain any outcome but success.
+        exit_code: Exit code of the orchestrator.
     """
 
     outcome: str
@@ -129,15 +116,8 @@ class RunVerdict:
 
 
 def judge(plan: Plan, outcome: RunOutcome, results: RunResults, signal_code: int) -> RunVerdict:
-    """Judge a run.
-
-    Args:
-        plan: What was to be run.
-        outcome: What the orchestrator saw.
-        results: What the bag contains.
-        signal_code: Exit code if a signal ended it.
-    """
-    # A run that was interrupted before its first tick lacks nothing that it should have.
+    """Judge a run; `signal_code` is the exit code if a signal ended it."""
+    # An interrupt before the first tick explains an empty bag.
     metrics = results.metrics
     expected = metrics is not None or not outcome.interrupted
     troubles = [*(results.problems if expected else []), *outcome.complaints]
@@ -163,7 +143,7 @@ def judge(plan: Plan, outcome: RunOutcome, results: RunResults, signal_code: int
 
 
 def in_words(verdict: RunVerdict, results: RunResults) -> str:
-    """Return what became of a run in a few words, with the time where the object was dropped."""
+    """Return the outcome of a run in a few words, with the time of a drop."""
     if verdict.outcome == DROPPED and results.metrics is not None:
         return results.metrics.headline()
     return verdict.outcome
@@ -176,7 +156,7 @@ def write_summary(
     results: RunResults,
     verdict: RunVerdict,
 ) -> None:
-    """Write ``summary.json`` completely or not at all."""
+    """Write ``summary.json`` atomically."""
     scenario, run = plan.scenario, results.run
     content = {
         "scenario": scenario.name,
@@ -205,7 +185,7 @@ def write_summary(
 
 
 def table(plan: Plan, outcome: RunOutcome, results: RunResults) -> Table:
-    """Return the results as a table for the terminal: goals first, each passed or failed."""
+    """Return the results as a table for the terminal: goals first, each with pass or fail."""
     out, run = Table(), results.run
     for column in ("result", "value", "goal", ""):
         out.add_column(column)
@@ -232,10 +212,7 @@ def table(plan: Plan, outcome: RunOutcome, results: RunResults) -> Table:
 
 
 def report_line(run: Run) -> str:
-    """Write the report and return a line with its place.
-
-    A page that fails must not cost the run: whatever goes wrong is in the line.
-    """
+    """Write the report and return a line with its path or, so as not to fail the run, the error."""
     try:
         return f"report: {write_report(run)}"
     except Exception as error:

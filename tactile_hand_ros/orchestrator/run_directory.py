@@ -16,14 +16,7 @@ from tactile_hand_ros.scenario.scenario import Scenario, resolved
 
 
 class RunDirectory:
-    """``<root>/<time>-<scenario>/`` and the names of the files in it.
-
-    Attributes:
-        path: The directory.
-        bag: Folder of the bag.
-        summary: File with the results.
-        scenario: File with the scenario, every value resolved.
-    """
+    """``<root>/<time>-<scenario>/`` and its files; the scenario has every value resolved."""
 
     def __init__(self, path: Path) -> None:
         """Name the files in a directory."""
@@ -32,12 +25,9 @@ class RunDirectory:
 
     @classmethod
     def create(cls, root: Path, name: str, now: datetime.datetime | None = None) -> RunDirectory:
-        """Create a new directory and let ``<root>/latest`` point to it.
+        """Create a new directory below `root` and let ``<root>/latest`` point to it.
 
-        Args:
-            root: Where the runs are.
-            name: Name of the scenario.
-            now: Time for the name, by default the local time.
+        Its name contains the scenario's `name` and the time, by default the local time.
 
         Raises:
             ConfigurationError: If it cannot be created.

@@ -37,40 +37,34 @@ from tactile_hand_ros.ros.processes import wait_until
 from tactile_hand_ros.ros.scheduling import Scheduling
 from tactile_hand_ros.scenario.scenario import NODES, Scenario
 
-# After the recorder, which loads fast, what takes longest to load comes first.
+# The recorder first, because it loads fast; then in order of decreasing loading time.
 START_ORDER = (RECORDER, PLANT, CONTROLLER, OPTIMIZER, REGULATOR, SENSOR)
 STOP_ORDER = ((PLANT, COMPOSED), (SENSOR, REGULATOR, OPTIMIZER, CONTROLLER), (RECORDER,))
 
 STALL = 15.0
-"""Time without an answered tick after which a run is given up [s]."""
+"""Time without an answered tick after which the run fails [s]."""
 
-_LOOK = 0.02  # s between two looks at the nodes' messages
-_FIRST_LOOK = 0.002  # s, while the first one is awaited
-_GRAPH_LOOK = 0.03  # s between two looks at the graph
+_LOOK = 0.02  # s between polls of the nodes' messages
+_FIRST_LOOK = 0.002  # s between polls before the first message
+_GRAPH_LOOK = 0.03  # s between polls of the graph
 _REST = 1.0  # s, longest wait for the answers to the last tick
-_LAST_HEARTBEATS = 0.3  # s, three of them: the recorder requests what it missed
+_LAST_HEARTBEATS = 0.3  # s, three heartbeats: the recorder requests lost messages
 
 
 class StartupError(TactileHandError):
-    """The graph did not come together in time."""
+    """The graph was not complete in time."""
 
 
 class StallError(TactileHandError):
-    """The plant gets no more answers."""
+    """The plant receives no more answers."""
 
 
 @dataclass(frozen=True)
 class Plan:
-    """What is to be run; see `RunOptions`.
+    """The plan of a run; see `RunOptions`.
 
-    Attributes:
-        scenario: The scenario.
-        namespace: Namespace of all nodes, ``/`` for none.
-        record: Whether to record a bag.
-        interactive: Whether to continue until a signal.
-        composed: Whether the nodes share one process.
-        startup_timeout: Longest wait for the graph [s].
-        scheduling: How the nodes are scheduled, all but the recorder: it may be late.
+    Namespace ``/`` means none. The startup timeout is in s. The recorder ignores `scheduling`,
+    because it may be late.
     """
 
     scenario: Scenario
@@ -83,11 +77,11 @@ class Plan:
 
     @property
     def end(self) -> int | None:
-        """Stamp of the last tick [ns], None for an endless run."""
+        """Timestamp of the last tick [ns], None for an endless run."""
         return None if self.interactive else (self.scenario.ticks - 1) * self.scenario.plant.tick
 
     def process(self, node: str) -> str:
-        """Return the executable that a node runs in."""
+        """Return the executable of a node."""
         return COMPOSED if self.composed else node
 
 
@@ -98,10 +92,10 @@ class RunOutcome:
     Attributes:
         failure: Why it ended early, empty if it did not.
         interrupted: Whether a signal ended it.
-        complaints: A sentence for each process that did not end well.
+        complaints: A sentence for each process that did not stop cleanly.
         first_tick: Time from the start of the orchestrator to the first answered tick [s].
-        last_tick: Stamp of the last tick that was answered [ns], -1 for none.
-        plant: What the plant reported last, by key of its diagnostics.
+        last_tick: Timestamp of the last answered tick [ns], -1 for none.
+        plant: The last diagnostics of the plant, by key.
     """
 
     failure: str = ""
@@ -113,30 +107,24 @@ class RunOutcome:
 
     @property
     def is_complete(self) -> bool:
-        """Whether the run came to its last tick."""
+        """Whether the run reached its last tick."""
         return not (self.failure or self.interrupted)
 
 
 class Session:
-    """Runs a plan in a run directory.
-
-    Attributes:
-        outcome: What became of it.
-    """
+    """One run of a plan in a run directory; `outcome` is its result."""
 
     def __init__(self, plan: Plan, directory: RunDirectory, signals: Signals) -> None:
-        """Take what is to be run, where everything is written, and whether to stop."""
+        """Take the plan, the directory for all output, and the signals that stop the run."""
         self.plan, self.directory, self.signals = plan, directory, signals
         self.outcome = RunOutcome()
         self._processes = Processes()
 
     def run(self, joining: AbstractContextManager[Node], view: View) -> RunOutcome:
-        """Run to the end, to a signal or to a failure; nothing is left running.
+        """Run to the end, to a signal or to a failure; stop all processes.
 
-        Args:
-            joining: Provides the orchestrator's own node, in the namespace of the run. It is made
-                after the processes have been started, so that they do not wait for it.
-            view: Shows the progress.
+        `joining` provides the orchestrator's own node, in the namespace of the run. It is entered
+        after the processes have started, so that they do not wait for it.
         """
         outcome = self.outcome
         with self._processes, contextlib.ExitStack() as stack:
@@ -153,9 +141,9 @@ class Session:
         return outcome
 
     def _start(self) -> None:
-        """Start all processes, one right after the other: they load at the same time."""
+        """Start all processes without waiting, so that they load at the same time."""
         configs = self._configs(self.directory.write_scenario(self.plan.scenario))
-        # The output of a node goes into its log here, not a second time below the home folder.
+        # The log here already has a node's output; a second one in the home folder is not needed.
         common = ["--ros-args", "--disable-external-lib-logs"]
         if self.plan.namespace != "/":
             common += ["-r", f"__ns:={self.plan.namespace}"]
@@ -172,7 +160,7 @@ class Session:
             self._processes.start(name, log, *words, records=RECORDER in own)
 
     def _configs(self, scenario_text: str) -> dict[str, Config]:
-        """Return the parameters of the nodes in the order of the start."""
+        """Return the parameters of the nodes in start order."""
         scenario = self.plan.scenario
         endless = {"duration": 0.0} if self.plan.interactive else {}
         configs: dict[str, Config] = {node: scenario.node_config(node) for node in NODES}
@@ -181,7 +169,7 @@ class Session:
             configs[RECORDER] = RecorderConfig(
                 output=str(self.directory.bag.resolve()),
                 topics=_recorded(self.plan.namespace),
-                # The commands of users; the run has accepted/... and rejected/... instead.
+                # User commands; the bag has accepted/... and rejected/... instead.
                 exclude=[f"{self.plan.namespace.rstrip('/')}/{topic}" for topic in USER_COMMANDS],
                 scenario=scenario_text,
             )
@@ -204,7 +192,7 @@ class Session:
         """Wait until all nodes exist and have matched each other.
 
         Raises:
-            StartupError: With what is missing and the last lines of the logs.
+            StartupError: With the missing endpoints and the last lines of the logs.
             NodeDiedError: If a process ended.
         """
         plan, own = self.plan, node.get_fully_qualified_name()
@@ -214,27 +202,26 @@ class Session:
         end = time.monotonic() + plan.startup_timeout
         while True:
             missing = missing_endpoints(node, members, {**monitor.facts(), own: steering.facts})
-            # The first one is reason enough to wait: a search for all of them costs 5 % of a
-            # processor while the nodes load.
+            # One missing endpoint suffices: searching for all costs 5 % of a core while nodes load.
             first = next(missing, None)
             if first is None and steering.is_ready:
                 return
             self._processes.check()
             if time.monotonic() > end:
-                first = first or (PLANT, "the service of the plant does not answer yet")
+                first = first or (PLANT, "the plant's service does not answer yet")
                 raise StartupError(self._absence(dict(reversed([first, *missing]))))
             self.signals.wait(_GRAPH_LOOK)
 
     def _absence(self, missing: dict[str, str]) -> str:
-        """Return what is missing of each node, and what the logs contain."""
+        """Return the missing endpoints of each node and the last lines of its log."""
         lines = [
             f"the graph is not complete after {self.plan.startup_timeout:g} s: "
             f"{'; '.join(missing[name] for name in sorted(missing))}; "
-            f"look at {self.directory.path / 'logs'}"
+            f"see {self.directory.path / 'logs'}"
         ]
         for name in dict.fromkeys(map(self.plan.process, missing)):
             tail = self._processes.tail(name)
-            lines += [f"{name} | {line}" for line in tail] or [f"{name} has not printed anything"]
+            lines += [f"{name} | {line}" for line in tail] or [f"{name} has no output"]
         return "\n".join(lines)
 
     def _watch(self, monitor: Monitor, view: View, steering: Steering) -> None:
@@ -243,7 +230,7 @@ class Session:
         Raises:
             Interrupted: After a signal.
             NodeDiedError: If a process ended.
-            StallError: If no tick is answered any more.
+            StallError: If ticks are no longer answered.
         """
         outcome, end = self.outcome, self.plan.end
         progress = due = time.monotonic()
@@ -265,7 +252,7 @@ class Session:
                     view.show(monitor)
 
     def _come_to_rest(self, steering: Steering, monitor: Monitor) -> None:
-        """Pause and wait for the answers to the last tick, so that it is complete in the bag."""
+        """Pause and wait for the answers to the last tick, so that the bag has all of it."""
         with contextlib.suppress(SteeringError):
             steering.run(False, timeout=_REST, check=False)
 
@@ -273,7 +260,7 @@ class Session:
             self._processes.check()
             return monitor.is_at_rest
 
-        with contextlib.suppress(NodeDiedError, TimeoutError):  # it will not answer any more
+        with contextlib.suppress(NodeDiedError, TimeoutError):  # no more answers will come
             wait_until(is_at_rest, _REST)
         if self.plan.record:
             threading.Event().wait(_LAST_HEARTBEATS)
@@ -294,11 +281,11 @@ def _recorded(namespace: str) -> list[str]:
 def _stall(monitor: Monitor) -> str:
     where = f"t = {1e-9 * monitor.tick:g} s" if monitor.tick >= 0 else "the start"
     faults = "; ".join(monitor.faults()) or "no node reports a fault"
-    return f"no tick was answered for {STALL:g} s since {where}: {faults}; look at the logs"
+    return f"no tick was answered for {STALL:g} s since {where}: {faults}; see the logs"
 
 
 def _process_age() -> float:
-    """Return how long ago this process started [s], including the interpreter's own start."""
+    """Return the age of this process [s], including the start of the interpreter."""
     with open("/proc/self/stat", encoding="ascii") as file:
         fields = file.read().rpartition(")")[2].split()
     with open("/proc/uptime", encoding="ascii") as file:

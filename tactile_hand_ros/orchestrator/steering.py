@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Commands to a running hand: from the orchestrator, and from users in other terminals."""
+"""Commands to a running hand, from the orchestrator and from users in other terminals."""
 
 from __future__ import annotations
 
@@ -39,30 +39,24 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 _SLICE = 0.02  # s
-_PATIENCE = 5.0  # s for an answer to the orchestrator
-_AGAIN = 1.0  # s without an answer after which a command is sent again
-_UNDISCOVERED = "_NODE_NAME_UNKNOWN_"  # of an endpoint whose node rmw has not discovered yet
+_PATIENCE = 5.0  # s, longest wait for an answer to the orchestrator
+_AGAIN = 1.0  # s without an answer after which a command is resent
+_UNDISCOVERED = "_NODE_NAME_UNKNOWN_"  # rmw's name for an endpoint of an undiscovered node
 
 
 class SteeringError(TactileHandError):
-    """The hand is not there, does not answer, or refuses a command."""
+    """The hand is absent, does not answer, or rejects a command."""
 
 
 class Steering:
     """The orchestrator's commands: targets, user grasp forces, and run or pause."""
 
     def __init__(self, node: Node, scenario: Scenario, check: Callable[[], None]) -> None:
-        """Create publishers and client.
-
-        Args:
-            node: A node in the namespace of the run.
-            scenario: What is to be commanded.
-            check: Called while waiting; raises to give up.
-        """
+        """Create publishers and client; `check` is called while waiting and raises to give up."""
         self._targets, self._check = scenario.targets, check
         self._waiting = sorted(scenario.user_forces, key=lambda request: request.time)
-        # A queue of one is full with each message, and only with a full queue does Fast DDS ask
-        # for the acknowledgment immediately; otherwise every 3 s.
+        # A queue of one is full with each message. Only then does Fast DDS request the
+        # acknowledgment immediately; otherwise it does so every 3 s.
         profile = QoSProfile(depth=1)
         self._poses = node.create_publisher(PoseStamped, names.DESIRED_POSE, profile)
         self._forces = node.create_publisher(Float64, names.USER_GRASP_FORCE, profile)
@@ -77,16 +71,12 @@ class Steering:
 
     @property
     def facts(self) -> dict[str, str]:
-        """How many subscribers each publisher has matched, as nodes report it."""
+        """The number of matched subscribers of each publisher, in the format of the diagnostics."""
         ours = (self._poses, self._forces)
         return {f"{PUBLICATIONS} {p.topic_name}": str(p.get_subscription_count()) for p in ours}
 
     def send_targets(self) -> None:
-        """Send desired poses, each with the tick from which it holds, and wait for their arrival.
-
-        Raises:
-            SteeringError: If a subscriber does not acknowledge them.
-        """
+        """Send the desired poses with their ticks; raise SteeringError without acknowledgment."""
         for target in self._targets:
             pose, codec = target.target(), PoseCodec(nan_allowed=True)
             self._poses.publish(codec.encode(pose.position, pose.quaternion, target.stamp))
@@ -95,8 +85,8 @@ class Steering:
     def send_forces(self, stamp: int) -> None:
         """Send the newest user grasp force that is due at a tick [ns], if there is one.
 
-        Forces carry no stamp, like everything that a user does by hand: the tick at which one takes
-        effect depends on how long it travels, and may differ from run to run.
+        Like all manual commands, forces carry no timestamp: when one takes effect depends on its
+        travel time and may vary between runs.
 
         Raises:
             SteeringError: If a subscriber does not acknowledge it.
@@ -113,20 +103,17 @@ class Steering:
             self._check()
             if time.monotonic() > end:
                 raise SteeringError(
-                    f"{what} was not received by all subscribers within {_PATIENCE:g} s; look at "
-                    "the logs of the nodes"
+                    f"{what} was not received by all subscribers within {_PATIENCE:g} s; see the "
+                    "logs of the nodes"
                 )
 
     def run(self, on: bool, timeout: float = _PATIENCE, check: bool = True) -> None:
-        """Let the plant run or pause.
+        """Let the plant run or pause; wait for its answer, at most `timeout` [s].
 
-        Args:
-            on: Run or pause.
-            timeout: Longest wait for the answer [s].
-            check: Whether to give up early when the constructor's `check` raises.
+        With `check`, the constructor's `check` may end the wait early.
 
         Raises:
-            SteeringError: If the plant refuses or does not answer.
+            SteeringError: If the plant rejects the call or does not answer.
         """
         future = self._client.call_async(SetBool.Request(data=on))
 
@@ -138,11 +125,11 @@ class Steering:
         if not _spin(self._executor, done, timeout):
             raise SteeringError(f"the plant did not answer to ~/run within {timeout:g} s")
         if not future.result().success:
-            raise SteeringError(f"the plant refuses ~/run: {future.result().message}")
+            raise SteeringError(f"the plant rejects ~/run: {future.result().message}")
 
 
 def _spin(executor: SingleThreadedExecutor, condition: Callable[[], bool], timeout: float) -> bool:
-    """Return whether a condition comes true in time [s]."""
+    """Return whether a condition becomes true within `timeout` [s]."""
     end = time.monotonic() + timeout
     while not condition():
         if time.monotonic() > end:
@@ -152,7 +139,7 @@ def _spin(executor: SingleThreadedExecutor, condition: Callable[[], bool], timeo
 
 
 def how_to_steer(namespace: str, targets: Sequence[TargetConfig]) -> str:
-    """Return the command that moves the hand from a second terminal: to a target of its own."""
+    """Return the command that moves the hand from a second terminal, with a target as example."""
     where = "" if namespace == "/" else f" --namespace {namespace}"
     last = targets[-1].position if targets else None
     position = " ".join(f"{x:g}" for x in last) if last else "X Y Z"
@@ -160,18 +147,13 @@ def how_to_steer(namespace: str, targets: Sequence[TargetConfig]) -> str:
 
 
 class HandClient:
-    """Commands of a user to one hand; each returns when the hand has answered.
+    """User commands to one hand; each returns when the hand has answered.
 
-    A command is sent when the node that acts on it has been found, and so is never lost.
+    A command is sent only after its receiver has been discovered, so it is never lost.
     """
 
     def __init__(self, node: Node, timeout: float) -> None:
-        """Prepare.
-
-        Args:
-            node: A node in the namespace of the hand.
-            timeout: Longest wait for the hand to be found, and for its answer [s].
-        """
+        """Prepare; `timeout` limits the waits for discovery and for an answer [s]."""
         self._node, self._timeout = node, timeout
         self._executor = SingleThreadedExecutor(context=node.context)
         self._executor.add_node(node)
@@ -179,12 +161,12 @@ class HandClient:
     def move(
         self, position: Sequence[float], rotation: Sequence[float] | None
     ) -> tuple[float, Array]:
-        """Ask for a pose of the grasp.
+        """Command a pose of the grasp.
 
         Args:
             position: p_d of the contact centroid, palm frame, shape (3,), m.
-            rotation: Orientation as a rotation vector in the palm frame, shape (3,), rad; None for
-                that of the grasp.
+            rotation: Orientation as a rotation vector in the palm frame, shape (3,), rad; None
+                keeps that of the grasp.
 
         Returns:
             The simulated time from which the pose is the target [s], and its orientation as a
@@ -192,7 +174,7 @@ class HandClient:
 
         Raises:
             ConfigurationError: If a number is not finite.
-            SteeringError: If there is no hand, or it refuses.
+            SteeringError: If there is no hand, or it rejects the pose.
         """
         _check_finite([*position, *(rotation or ())])
         publisher = self._node.create_publisher(PoseStamped, names.DESIRED_POSE, qos.user_qos())
@@ -213,11 +195,11 @@ class HandClient:
         return 1e-9 * stamp_to_ns(taken.header.stamp), vector_from_rotation(orientation)
 
     def grasp_force(self, force: float) -> float:
-        """Ask for a grasp force k_f [N]; return the simulated time at which it takes effect [s].
+        """Request a grasp force k_f [N]; return the simulated time at which it takes effect [s].
 
         Raises:
             ConfigurationError: If the force is not finite.
-            SteeringError: If there is no hand, or it refuses.
+            SteeringError: If there is no hand, or it rejects the force.
         """
         _check_finite([force])
         publisher = self._node.create_publisher(Float64, names.USER_GRASP_FORCE, qos.user_qos())
@@ -227,20 +209,20 @@ class HandClient:
         return 1e-9 * stamp_to_ns(taken.header.stamp)
 
     def grasp(self, close: bool) -> str:
-        """Close the fingers until all touch, or open them; return the hand's answer.
+        """Close the fingers until all touch, or open them; return the answer.
 
         Raises:
-            SteeringError: If there is no hand, or it refuses.
+            SteeringError: If there is no hand, or it rejects the request.
         """
         return self._call(SetBool, f"{names.CONTROLLER}/grasp", SetBool.Request(data=close))
 
     def reset(self) -> str:
-        """Start again: a simulation from its start, a real hand with its present grasp.
+        """Restart: a simulation from its start, a real hand with its present grasp.
 
-        Who publishes joint_states decides which of the two it is.
+        The publisher of joint_states determines which of the two it is.
 
         Raises:
-            SteeringError: If there is no hand, or it refuses.
+            SteeringError: If there is no hand, or it rejects the request.
         """
         last = f"{names.CONTROLLER}/reset"
         self._wait(self._node.create_client(Trigger, last).service_is_ready, self._absence())
@@ -253,7 +235,7 @@ class HandClient:
             senders.update(each.node_name for each in found)
             return bool(senders) and _UNDISCOVERED not in senders
 
-        self._wait(is_known, "nothing publishes joint_states; is the driver of the hand running?")
+        self._wait(is_known, "joint_states has no publisher; is the hand's driver running?")
         if names.PLANT in senders:
             self._call(Trigger, f"{names.PLANT}/reset", Trigger.Request())
             return "time, hand and object are back at the start"
@@ -268,7 +250,7 @@ class HandClient:
         topic: str,
         accepted: tuple[Any, str, Callable[[Any], bool]],
     ) -> Any:
-        """Send a command to a node and return the message in which it accepts it."""
+        """Send a command to a node and return the message that accepts it."""
         taken: list[Any] = []
         refused: list[DiagnosticArray] = []
         kind, name, is_ours = accepted
@@ -290,8 +272,7 @@ class HandClient:
         due = time.monotonic()
 
         def answered() -> bool:
-            # Whether the hand has matched our subscriptions is unknown here; they may have missed
-            # the answer to the first message.
+            # The hand may not have matched our subscriptions yet; then its first answer is lost.
             nonlocal due
             if time.monotonic() >= due:
                 publisher.publish(message)
@@ -300,7 +281,7 @@ class HandClient:
 
         self._wait(answered, f"the hand has not answered within {self._timeout:g} s; is it paused?")
         if not taken:
-            raise SteeringError(f"the hand refuses: {_reason(refused, topic)}")
+            raise SteeringError(f"the hand rejects the command: {_reason(refused, topic)}")
         return taken[0]
 
     def _call(self, kind: Any, service: str, request: Any) -> str:
@@ -310,15 +291,11 @@ class HandClient:
         self._wait(future.done, f"{service} has not answered within {self._timeout:g} s")
         answer = future.result()
         if not answer.success:
-            raise SteeringError(f"the hand refuses: {answer.message}")
+            raise SteeringError(f"the hand rejects the command: {answer.message}")
         return str(answer.message)
 
     def _wait(self, condition: Callable[[], bool], problem: str) -> None:
-        """Wait for a condition.
-
-        Raises:
-            SteeringError: With the problem if it does not come in time.
-        """
+        """Wait for a condition; raise SteeringError with `problem` after the timeout."""
         if not _spin(self._executor, condition, self._timeout):
             raise SteeringError(problem)
 
@@ -337,6 +314,6 @@ def _check_finite(numbers: Sequence[float]) -> None:
 
 
 def _reason(refused: list[DiagnosticArray], topic: str) -> str:
-    """Return why a command on a topic was refused."""
+    """Return why a command on a topic was rejected."""
     found = [p.value for m in refused for s in m.status for p in s.values if p.key == topic]
-    return found[0] if found else "without a reason"
+    return found[0] if found else "no reason given"

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Show a run: one self-contained page of HTML, figures and tables."""
+"""Show a run: one self-contained HTML page, figures and tables."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A run as one document for the page: arrays, events, tables and what is to be drawn."""
+"""A run as one document for the page: arrays, events and tables."""
 
 from __future__ import annotations
 
@@ -22,21 +22,17 @@ Array = NDArray[np.float64]
 Rows = NDArray[np.int64]
 
 MAX_BYTES = 2_900_000
-"""Room for the arrays of a page before base64, so that it stays below 5 MB."""
+"""Maximum size of a page's arrays before base64, so that the page stays below 5 MB."""
 MAX_EVENTS = 400
 
-_CODES = {"time": "f8", "grip": "u1"}  # for the time of a long run 24 bits are too few
+_CODES = {"time": "f8", "grip": "u1"}  # 24 bits are too few for the time of a long run
 _BYTES = {"f8": 8, "f4": 4, "u1": 1}
 
 
 def run_document(run: RunData, *, room: int = MAX_BYTES) -> dict[str, Any]:
-    """Return everything the page needs to know of a run, as plain data for JSON.
+    """Return the content of the page as plain data for JSON.
 
-    All ticks are shown where there is room, of a longer run a choice of them, see `ticks.shown`.
-
-    Args:
-        run: The run.
-        room: How many bytes the arrays may take before base64.
+    All ticks are shown if they fit into `room` bytes before base64; see `shown` for longer runs.
 
     Raises:
         BagError: If the bag is damaged or has no tick.
@@ -81,7 +77,7 @@ def _code(name: str) -> str:
 
 
 def _shown(values: Array, rows: Rows, broken: Sequence[int]) -> Array:
-    """Return the rows of an array, without a value where a gap begins, so that its line ends."""
+    """Return rows of an array, with NaN at the start of a gap, so that its line is interrupted."""
     found: Array = values[rows]
     if len(broken):
         found = found.copy()
@@ -90,11 +86,11 @@ def _shown(values: Array, rows: Rows, broken: Sequence[int]) -> Array:
 
 
 def plot_columns(run: RunData) -> dict[str, Array]:
-    """Return the arrays of the plots by name, one row a tick.
+    """Return the arrays of the plots by name, one row per tick.
 
     ``time`` in s, ``rates`` in rad/s, ``position_error`` in m, ``rotation_error`` (|r_d|) in rad,
     ``force`` in N in contact frames, ``expected`` (k_f f*_n) in N, ``beta`` (f_t / f_n),
-    ``friction`` (learned mu), ``grip`` (state of each contact), ``grasp_force`` (k_f) in N and
+    ``friction`` (estimated mu), ``grip`` (state of each contact), ``grasp_force`` (k_f) in N and
     ``latency`` in s.
     """
     record = run.record
@@ -115,7 +111,7 @@ def plot_columns(run: RunData) -> dict[str, Array]:
 
 
 def scene_columns(record: Record) -> dict[str, Array]:
-    """Return the arrays of the 3D view by name, one row a tick, as the record has them."""
+    """Return the arrays of the 3D view by name, one row per tick, as in the record."""
     names = (
         *("theta", "contact_positions", "contact_quaternions"),
         *("auxiliary_position", "auxiliary_quaternion"),
@@ -138,7 +134,7 @@ def _rows(run: RunData, limit: int) -> Rows:
 
 
 def _highest(values: Array) -> Array:
-    """Return the largest value of each row; a bag need not hold a finger."""
+    """Return the largest value of each row; a bag may lack a finger."""
     return np.asarray(values.max(axis=1, initial=-np.inf))
 
 
@@ -150,7 +146,7 @@ def _fingers(record: Record) -> list[dict[str, Any]]:
 
 
 def _joints(record: Record, hand: dict[str, Any] | None) -> list[dict[str, Any]]:
-    """Return name, finger (index, -1 if unknown) and place in the finger of each joint."""
+    """Return name, finger (index, -1 if unknown) and position in the finger of each joint."""
     owner = _owners(record, hand)
     joints: list[dict[str, Any]] = []
     for column, name in enumerate(record.joint_names):
@@ -182,19 +178,16 @@ def _date(run: RunData) -> str:
 
 
 def shown(count: int, limit: int, signals: Sequence[Array], always: Rows) -> Rows:
-    """Choose the ticks to show.
+    """Choose the ticks to show, in ascending order; all of them up to `limit`.
 
-    Up to `limit` ticks are all shown. Of more, those at equal distances are shown, and of each of
-    many equal pieces those at which a signal is largest and smallest: no peak is lost to the eye.
+    Beyond that, keep evenly spaced ticks, and for each of many equal pieces the ticks at which a
+    signal is largest and smallest, so that every peak stays visible.
 
     Args:
         count: Number of ticks.
-        limit: About how many may be shown.
-        signals: Whose peaks matter, each of shape (count,).
-        always: Ticks that are shown in any case, such as those of events.
-
-    Returns:
-        Rows in ascending order.
+        limit: Approximate maximum number of ticks.
+        signals: Signals whose peaks matter, each of shape (count,).
+        always: Ticks that are always shown, such as those of events.
     """
     if count <= limit:
         return np.arange(count)
@@ -209,11 +202,9 @@ def shown(count: int, limit: int, signals: Sequence[Array], always: Rows) -> Row
 
 
 def pack(array: NDArray[Any], code: str = "f4") -> dict[str, Any]:
-    """Return an array as plain data for JSON.
+    """Return an array of any shape as plain data for JSON.
 
-    Args:
-        array: Numbers of any shape.
-        code: ``f4`` or ``f8``, or ``u1`` for whole numbers up to 254, in which NaN becomes 255.
+    `code` is ``f4``, ``f8``, or ``u1`` for integers up to 254, for which NaN becomes 255.
     """
     values = np.asarray(array)
     if code == "u1":

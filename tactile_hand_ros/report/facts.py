@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the page says in words and numbers: headline, tables, assumptions, settings, notes."""
+"""The words and numbers of the page: headline, tables, assumptions, settings, notes."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ _VERSION = "version_"
 
 
 def passed(run: RunData) -> bool | None:
-    """Return whether a run is good: held, and its goal reached; None where nothing judges it."""
+    """Return whether the object is held and the goal reached; None if no goal applies."""
     return False if run.metrics.is_dropped else run.metrics.goal_reached
 
 
 def tiles(run: RunData) -> list[dict[str, Any]]:
-    """Return the headline: a few numbers, each with what it is and how it is to be judged."""
+    """Return the headline: a few numbers, each with a label and a verdict."""
     m, bag = run.metrics, run.bag_metrics
     if m.is_dropped:
         dropped = _tile("object dropped", m.dropped_at_s, "s", "fewer than two fingers touch it")
@@ -45,7 +45,7 @@ def tiles(run: RunData) -> list[dict[str, Any]]:
 
 
 def _slips(run: RunData) -> dict[str, Any]:
-    """Return how far a contact slid and how often, where a simulation knows, else the alarms."""
+    """Return slip distance and count with ground truth, otherwise the number of alarms."""
     m = run.metrics
     note = f"{m.slip_alarm_count} detected"
     if m.slip_count is None:
@@ -123,15 +123,15 @@ def assumptions(run: RunData) -> list[dict[str, Any]]:
 
 
 def notes(run: RunData) -> list[str]:
-    """Return what a reader must know before trusting the page."""
+    """Return the warnings that a reader needs before trusting the page."""
     found = []
     if run.scenario_problem:
         found.append(
             "The scenario in the bag does not fit this version of the package: goal, disturbances "
-            "and assumptions are left out."
+            "and assumptions are omitted."
         )
     elif run.scenario is None:
-        found.append("No scenario is known: goal, object and assumptions are left out.")
+        found.append("The scenario is unknown: goal, object and assumptions are omitted.")
     if run.assumptions_problem:
         found.append(run.assumptions_problem)
     if run.bag_metrics is not None and not run.bag_metrics.complete:

@@ -64,7 +64,7 @@ def motion_figure(record: Record) -> Figure:
 
 
 def draw_rates(axes: Axes, record: Record) -> None:
-    """Draw all joint rates, a color for each finger and a line style for each of its joints."""
+    """Draw all joint rates, one color per finger and one line style per joint."""
     per_finger = _joints_per_finger(record)
     for j in range(len(record.joint_names)):
         axes.plot(
@@ -78,7 +78,7 @@ def draw_rates(axes: Axes, record: Record) -> None:
 
 
 def draw_position(axes: Axes, record: Record) -> None:
-    """Draw the centroid of the contacts as the hand estimates it, and p_d dashed."""
+    """Draw the contact centroid as estimated by the hand, and p_d dashed."""
     for i in range(3):
         axes.plot(record.times, record.auxiliary_position[:, i], color=axis_color(i))
         axes.plot(record.times, record.desired_position[:, i], **_TARGET)
@@ -108,8 +108,7 @@ def draw_normal_forces(axes: Axes, record: Record) -> None:
 def friction_figure(records: Mapping[str, Record]) -> Figure:
     """Draw Fig. 4: the friction coefficient that each contact needs, for one or more runs.
 
-    Args:
-        records: Runs by their name in the legend; the first is drawn strongest.
+    `records` is keyed by name in the legend; the first run is drawn strongest.
     """
     first = next(iter(records.values()))
     with look():
@@ -156,7 +155,7 @@ def _motion_handles(record: Record) -> list[Line2D]:
 
 
 def _handle(color: str, line: LineStyle, label: str, width: float = 1.2) -> Line2D:
-    """Return a line for a legend, which need not be one of the lines drawn."""
+    """Return a line for a legend; the plot need not contain it."""
     made: Line2D = optional("matplotlib.lines", "Drawing").Line2D(
         [], [], color=color, linestyle=line, label=label, linewidth=width
     )

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the 3D view shows besides arrays: the hand's links, from its URDF, and the object."""
+"""The bodies in the 3D view: the hand's links, from its URDF, and the object."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from tactile_hand_ros.run.result import RunData
 
 
 def hand(run: RunData) -> tuple[dict[str, Any] | None, str]:
-    """Return the hand as `hand_tree` gives it, None and a sentence where it is not known."""
+    """Return the output of `hand_tree`, or None and a sentence if the hand is unknown."""
     try:
         text = _description(run)
         tree = hand_tree(text, run.record.joint_names, _tips(run)) if text else None
@@ -30,25 +30,25 @@ def hand(run: RunData) -> tuple[dict[str, Any] | None, str]:
 
 
 def _description(run: RunData) -> str:
-    """Return the URDF, the recorded one before that of the scenario."""
+    """Return the URDF, preferably the recorded one, otherwise that of the scenario."""
     if run.description or run.scenario is None:
         return run.description
     return Hand.load(run.scenario.hand, run.scenario.layout).description
 
 
 def _tips(run: RunData) -> dict[str, tuple[str, float]]:
-    """Return finger and radius by tip link, nothing where the hand's file is not here."""
+    """Return finger and radius by tip link; empty if the hand's file is missing."""
     if run.scenario is None:
         return {}
     try:
         config = load_hand_config(run.scenario.hand)
-    except TactileHandError:  # it stayed on the machine of the run
+    except TactileHandError:  # it is on the machine of the run
         return {}
     return {finger.tip: (finger.name, finger.radius) for finger in config.fingers}
 
 
 def solid(run: RunData) -> dict[str, Any] | None:
-    """Return corners in m, faces and edges of the object; None where its shape is unknown."""
+    """Return corners in m, faces and edges of the object; None if its shape is unknown."""
     if run.scenario is None:
         return None
     shape = run.scenario.plant.object.solid()
@@ -72,13 +72,13 @@ def hand_tree(
     Args:
         description: URDF text.
         joint_names: Names of the joints in the order of the record.
-        tips: Finger and radius in m by tip link; links that the URDF lacks are left out.
+        tips: Finger and radius in m by tip link; links that the URDF lacks are skipped.
 
     Returns:
-        ``links`` in an order in which parents come first, each with ``parent`` (index, -1 for the
-        root), ``xyz`` in m and ``quaternion`` (x, y, z, w) in the parent, and for moving joints
-        ``motion`` (turn or slide), ``axis`` and ``joint`` (column of the record, -1 if unknown);
-        ``tips`` with ``link`` (index), ``finger`` (name) and ``radius``.
+        ``links``, parents first, each with ``parent`` (index, -1 for the root), ``xyz`` in m and
+        ``quaternion`` (x, y, z, w) in the parent, and for moving joints ``motion`` (turn or slide),
+        ``axis`` and ``joint`` (column of the record, -1 if unknown); ``tips`` with ``link``
+        (index), ``finger`` (name) and ``radius``.
 
     Raises:
         HandModelError: If the text is not a URDF.
@@ -105,10 +105,10 @@ def _links(root: ElementTree.Element, joint_names: list[str]) -> list[dict[str, 
     names = [str(link.get("name")) for link in root.findall("link")]
     links = [_link(name, -1, None, joint_names) for name in names if name not in children]
     placed = {link["name"] for link in links}
-    for number, link in enumerate(links):  # grows while it is walked, parents first
+    for number, link in enumerate(links):  # grows during the loop, parents first
         for joint in joints.get(link["name"], []):
             child = _end(joint, "child")
-            if child not in placed:  # each link once, even where the URDF is no tree
+            if child not in placed:  # each link once, even if the URDF is not a tree
                 placed.add(child)
                 links.append(_link(child, number, joint, joint_names))
     return links

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A run with its page: template, style, script and document in one file of HTML."""
+"""A run and its page: template, style, script and document in one HTML file."""
 
 from __future__ import annotations
 
@@ -26,17 +26,17 @@ if TYPE_CHECKING:
 REPORT = "report.html"
 
 MOST_EARLIER = 9
-"""Sections before the last one that a page has room for."""
+"""Maximum number of sections before the last one."""
 
 _PLACE = re.compile(r"@@(\w+)@@")
 
 
 def write_report(run: RunData, folder: Path | None = None) -> Path:
-    """Write ``report.html`` of a run and return the file; each reset starts a section in it.
+    """Write ``report.html`` of a run and return the file; each reset starts a new section.
 
     Args:
         run: The run.
-        folder: Where to; by default the run's folder, or next to a bare bag.
+        folder: Output folder; by default the run's folder, or next to a bare bag.
 
     Raises:
         BagError: If the bag is damaged or has no tick.
@@ -49,11 +49,7 @@ def write_report(run: RunData, folder: Path | None = None) -> Path:
 
 
 def page(documents: list[dict[str, Any]]) -> str:
-    """Return the HTML of a page that loads nothing from anywhere.
-
-    Args:
-        documents: What `run_document` gave for each section.
-    """
+    """Return a self-contained HTML page of the documents of `run_document`, one per section."""
     style, script = _resource("viewer.css"), _resource("viewer.js")
     parts = {
         "title": html.escape(f"{documents[-1]['name']} - tactile hand"),
@@ -71,7 +67,7 @@ def _resource(name: str) -> str:
 
 
 def _source_hash(text: str) -> str:
-    """Return what a content security policy calls an inline text that may run.
+    """Return the hash by which a content security policy permits an inline text.
 
     Source: W3C, Content Security Policy Level 3, section 2.3.1 (hash-source).
     """
@@ -80,17 +76,13 @@ def _source_hash(text: str) -> str:
 
 
 def _json(document: dict[str, Any]) -> str:
-    """Return JSON that cannot end the script element in which it stands."""
+    """Return JSON that cannot close its script element."""
     text = json.dumps(json_ready(document), allow_nan=False, separators=(",", ":"))
     return text.replace("<", "\\u003c").replace("\u2028", "\\u2028").replace("\u2029", "\\u2029")
 
 
 def _write(text: str, file: Path) -> Path:
-    """Write a file whole or not at all.
-
-    Raises:
-        TactileHandError: If that is not possible.
-    """
+    """Write a file atomically; raise TactileHandError if that fails."""
     try:
         file.parent.mkdir(parents=True, exist_ok=True)
         replace_text(file, text)
@@ -116,7 +108,7 @@ class Result(RunData):
         """Write ``report.html`` and return the file.
 
         Args:
-            folder: Where to; by default the run's folder, or the present one without a bag.
+            folder: Output folder; by default the run's folder, or the current one without a bag.
 
         Raises:
             TactileHandError: If the file cannot be written.

@@ -41,11 +41,7 @@ _CAPTION += "contact centroid to its target"
 def grasp_figure(record: Record, scenario: Scenario) -> Figure:
     """Draw hand, object, contacts and forces at the first tick with forces and at the last.
 
-    Without ground truth the object is left out, and so is one that has fallen away.
-
-    Args:
-        record: The run.
-        scenario: Its scenario, for the hand and the shape of the object.
+    The object is omitted without ground truth, and after it has fallen away.
     """
     hand = Hand.load(scenario.hand, scenario.layout)
     rows, dropped = (min(1, len(record) - 1), len(record) - 1), dropped_at(record)
@@ -74,7 +70,7 @@ def _chains(hand: Hand, record: Record, row: int) -> list[Array]:
 
 
 def _panel(figure: Figure, number: int, points: Array) -> Any:
-    """Return one half of a figure, in which a cube around some points is shown."""
+    """Return one half of a figure that shows a cube around some points."""
     axes: Any = figure.add_axes(
         (0.5 * number, 0.04, 0.5, 0.92), projection="3d", computed_zorder=False
     )
@@ -118,7 +114,7 @@ def _draw_object(axes: Any, record: Record, row: int, scenario: Scenario, reach:
 
 
 def _draw_contacts(axes: Any, record: Record, row: int, reach: float, per_newton: float) -> None:
-    """Draw contact frames and forces, the path of their centroid, and where it shall be."""
+    """Draw contact frames and forces, the path of their centroid, and its target."""
     forces = contact_forces(record)[row]
     for i, point in enumerate(record.contact_positions[row]):
         if not np.isfinite(point).all():

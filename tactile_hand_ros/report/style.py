@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One look for all figures: sizes of a paper column, colors that color-blind eyes tell apart."""
+"""The style of all figures: sizes of a paper column, colors for color-blind readers."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 PAGE = 7.16
-"""Width of a paper's page, in."""
+"""Width of a paper's page, inches."""
 DPI = 220
 
 INK, FAINT = "#222222", "#8a8a8a"
-# Okabe and Ito (2008): first the fingers, then the axes, so that no color means two things.
+# Okabe and Ito (2008): fingers first, then axes, so that each color has one meaning.
 _FINGERS = ("#0072B2", "#D55E00", "#009E73", "#7A5195", "#8C6D1F", "#444444")
 _AXES = ("#CC79A7", "#E69F00", "#56B4E9")
 JOINT_LINES = ("-", "--", ":", "-.")
@@ -51,13 +51,13 @@ _PARAMETERS: dict[str, Any] = {
     "legend.handlelength": 1.8,
     "figure.dpi": 100.0,
     "svg.fonttype": "none",
-    # The same numbers give the same bytes.
+    # Equal numbers give equal bytes.
     "svg.hashsalt": "tactile_hand_ros",
 }
 
 
 def finger_color(index: int) -> str:
-    """Return the color of a finger by its index; of a run or outcome where no finger is shown."""
+    """Return the color of a finger, or of a run or outcome in a figure without fingers."""
     return _FINGERS[index % len(_FINGERS)]
 
 
@@ -67,17 +67,13 @@ def axis_color(index: int) -> str:
 
 
 def pretty(name: str) -> str:
-    """Return a name as people write it: ``finger_1`` becomes ``finger 1``."""
+    """Return a readable name: ``finger_1`` becomes ``finger 1``."""
     return name.replace("_", " ")
 
 
 @contextmanager
 def look() -> Iterator[None]:
-    """Draw in this style inside the block.
-
-    Raises:
-        MissingLibraryError: If matplotlib is not installed.
-    """
+    """Apply this style inside the context; raise MissingLibraryError without matplotlib."""
     matplotlib = optional("matplotlib", "Drawing")
     with matplotlib.rc_context(_PARAMETERS):
         yield
@@ -92,11 +88,11 @@ def new_figure(width: float, height: float, layout: str = "constrained") -> Figu
 
 
 def label_panel(axes: Axes, letter: str, title: str) -> None:
-    """Head a panel with its letter and what it shows."""
+    """Add a letter and a title to a panel."""
     axes.set_title(f"({letter}) {title}", loc="left", pad=4.0)
 
 
-# No dates and versions inside, so that equal runs give equal files.
+# Without dates and versions, so that equal runs give equal files.
 _METADATA: dict[str, dict[str, Any]] = {
     ".png": {"Software": None},
     ".svg": {"Date": None},
@@ -104,13 +100,7 @@ _METADATA: dict[str, dict[str, Any]] = {
 
 
 def save(figure: Figure, folder: Path, name: str) -> list[Path]:
-    """Write a figure as PNG and as SVG, and return the files.
-
-    Args:
-        figure: The figure.
-        folder: Where to; created if it does not exist.
-        name: Name without suffix.
-    """
+    """Write a figure as ``name``.png and .svg to a folder, created if missing; return the files."""
     folder.mkdir(parents=True, exist_ok=True)
     files = [folder / f"{name}.{suffix}" for suffix in ("png", "svg")]
     with look():

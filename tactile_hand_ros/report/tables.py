@@ -15,8 +15,8 @@ from tactile_hand_ros.run.recording import BagMetrics
 if TYPE_CHECKING:
     from rich.table import Table
 
-_NOTHING = 1e-9  # m or rad: rounding, no motion
-_LEAST = 1e-6  # m or rad: of less, the size does not matter
+_NOTHING = 1e-9  # m or rad; rounding errors, no motion
+_LEAST = 1e-6  # m or rad; the size of smaller values does not matter
 Rows = Sequence[Sequence[str]]
 
 
@@ -33,7 +33,7 @@ def metrics_rows(m: Metrics) -> list[list[str]]:
 
 
 def _held_rows(m: Metrics) -> list[list[str]]:
-    """Return what is known at the end of a run only if the object is still in the hand."""
+    """Return the final metrics that exist only if the object is still in the hand."""
     rows = [
         ["final position error", milli(m.final_position_error_m, "m")],
         ["final orientation error |r_d|", number(m.final_rotation_error_rad, "rad")],
@@ -83,14 +83,14 @@ def _limit(a: Assumption) -> str:
 
 
 def _held(a: Assumption) -> str:
-    """Say how long an assumption held and when it did not."""
+    """Describe how long an assumption held and when it did not."""
     if math.isnan(a.held_fraction):
         return "not judged"
     if not a.broken:
         return "throughout"
     times = ", ".join(f"{start:.2f} to {end:.2f} s" for start, end in a.broken[:3])
     more = f" and {len(a.broken) - 3} more" if len(a.broken) > 3 else ""
-    return f"{100.0 * a.held_fraction:.1f} %, not from {times}{more}"
+    return f"{100.0 * a.held_fraction:.1f} %, violated from {times}{more}"
 
 
 def bag_rows(b: BagMetrics) -> list[list[str]]:
@@ -118,11 +118,7 @@ def bag_rows(b: BagMetrics) -> list[list[str]]:
 
 
 def rich_table(title: str, columns: Sequence[str], rows: Rows = ()) -> Table:
-    """Return a table for the terminal.
-
-    Raises:
-        MissingLibraryError: If rich is not installed.
-    """
+    """Return a table for the terminal; raise MissingLibraryError without rich."""
     rich = optional("rich.table", "Tables in the terminal")
     table: Table = rich.Table(
         title=title, title_justify="left", title_style="bold", show_header=any(columns)
@@ -150,7 +146,7 @@ def number(value: float, unit: str = "") -> str:
 
 
 def milli(value: float, unit: str) -> str:
-    """Return a length [m] or angle [rad] in thousandths, without digits that do not matter."""
+    """Return a length [m] or angle [rad] in thousandths, without insignificant digits."""
     if math.isnan(value):
         return "unknown"
     if abs(value) < _NOTHING:
@@ -164,5 +160,5 @@ def _with_error(value: float, error: float) -> str:
 
 
 def plain(text: str) -> str:
-    """Keep rich from taking square brackets for markup."""
+    """Keep rich from interpreting square brackets as markup."""
     return text.replace("[", "\\[")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The runs that the paper's claims are judged by, and the claims next to what was measured."""
+"""The experiments behind the paper's claims, and each claim next to its measurement."""
 
 from __future__ import annotations
 
@@ -32,8 +32,8 @@ EXPERIMENTS: Mapping[str, tuple[str, Mapping[str, Any]]] = {
     "hold_contact": ("contact_law", {"targets": []}),
     "hold_kawamura": ("kawamura", {"targets": []}),
 }
-"""Scenario and other values by dotted key: the paper's experiment under (14), with W = I, with
-twice the grasp force, under (10) and (8); and each law that holds the object where it is."""
+"""Scenario and changes by dotted key: the paper's experiment under (14), with W = I, with
+twice the grasp force, under (10) and (8); and each law holding the object in place."""
 
 
 class ExperimentRun(RunData):
@@ -43,23 +43,13 @@ class ExperimentRun(RunData):
 
 
 def run_experiment(key: str, layout: str, duration: float | None = None) -> ExperimentRun:
-    """Run one experiment in-process.
-
-    Args:
-        key: Which of `EXPERIMENTS`.
-        layout: Layout of the hand's fingers.
-        duration: Simulated time in s instead of the scenario's.
-    """
+    """Run one of `EXPERIMENTS` in-process; `duration` [s] replaces the scenario's."""
     scenario = scenario_of(key, layout, duration)
     return ExperimentRun(ClosedLoop(scenario).run(), scenario)
 
 
 def scenario_of(key: str, layout: str, duration: float | None = None) -> Scenario:
-    """Return the scenario of an experiment; arguments as for `run_experiment`.
-
-    Raises:
-        ConfigurationError: If a layout or duration cannot be used.
-    """
+    """Return the scenario of an experiment; ConfigurationError if layout or duration is invalid."""
     name, others = EXPERIMENTS[key]
     changes = {"layout": layout, **others}
     if duration is not None:
@@ -73,7 +63,7 @@ Outcomes = Mapping[str, ExperimentRun]
 
 
 class ClaimVerdict(enum.Enum):
-    """How a claim fared."""
+    """The verdict on a claim."""
 
     HOLDS = "holds"
     PARTLY = "holds in part"
@@ -82,14 +72,7 @@ class ClaimVerdict(enum.Enum):
 
 @dataclass(frozen=True)
 class Claim:
-    """One claim of the paper.
-
-    Attributes:
-        source: Where the paper makes it.
-        statement: The claim in words.
-        measured: What was found, in words.
-        verdict: Whether it holds.
-    """
+    """One claim of the paper: its source and statement, the measured result and the verdict."""
 
     source: str
     statement: str
@@ -274,7 +257,7 @@ def _true_orientation(outcomes: Outcomes) -> Claim:
 
 
 def judge(outcomes: Outcomes) -> list[Claim]:
-    """Judge all claims, Theorem 1 with (9) among them, by the experiments of one layout."""
+    """Judge all claims, including Theorem 1 with (9), by the experiments of one layout."""
     judges = (
         _position,
         _orientation,
@@ -294,14 +277,10 @@ def judge(outcomes: Outcomes) -> list[Claim]:
 
 
 def translational_stiffness(scenario: Scenario, at: str = "tips") -> derived.Array:
-    """Return the force on the object per metre of position error, shape (3, 3), N/m.
+    """Return the force on the object per meter of position error, shape (3, 3), N/m.
 
-    The forces are those whose joint torques equal the drive of the law at the start of the run.
-
-    Args:
-        scenario: Hand, object and law.
-        at: Where the forces act: ``tips``, the centers of which (8) is written for, or
-            ``contacts`` with the object.
+    Their joint torques equal the drive of the law at the start of the run. They act at the
+    ``tips``, whose centers appear in (8), or at the ``contacts`` with the object.
     """
     plant = Plant(scenario.plant)
     contacts, tips = plant.state.contacts, plant.hand.fingertips(plant.state.theta)
@@ -318,7 +297,7 @@ def translational_stiffness(scenario: Scenario, at: str = "tips") -> derived.Arr
 
 
 def _until_loss(run: ExperimentRun) -> derived.Array:
-    """Return how far contacts rolled over the object, as long as all of them touched."""
+    """Return how far contacts rolled over the object while all of them touched."""
     lost = np.flatnonzero(derived.contact_lost(run.record))
     end = int(lost[0]) if len(lost) else len(run.record)
     return derived.rolling(run.record.part(slice(end)))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The paper's results from scratch: runs, figures and a table of claims against measurements."""
+"""The paper's results from scratch: runs, figures and a table of claims and measurements."""
 
 from __future__ import annotations
 
@@ -33,13 +33,7 @@ REPORT = "reproduction.md"
 
 @dataclass(frozen=True)
 class Reproduction:
-    """What came out for one layout.
-
-    Attributes:
-        layout: Layout of the hand's fingers.
-        outcomes: All experiments by key.
-        claims: What the paper claims and what was measured.
-    """
+    """The results for one layout: all experiments by key, and the judged claims."""
 
     layout: str
     outcomes: Outcomes
@@ -51,17 +45,14 @@ def reproduce(
     duration: float | None = None,
     progress: Callable[[str], None] = lambda _: None,
 ) -> list[Reproduction]:
-    """Run all experiments, where `workers` says, and judge the paper's claims.
+    """Run all experiments on `workers`, and judge the paper's claims.
 
-    Args:
-        layouts: Layouts of the hand's fingers.
-        duration: Simulated time in s instead of the scenarios'.
-        progress: Called with a sentence whenever an experiment is done.
+    `duration` [s] replaces the scenarios'; `progress` is called with a sentence per experiment.
 
     Raises:
-        ConfigurationError: If a layout or duration cannot be used.
+        ConfigurationError: If a layout or duration is invalid.
     """
-    for layout in layouts:  # before any process starts
+    for layout in layouts:  # check before any process starts
         check_scenario(scenario_of("optimal", layout, duration))
     found: dict[str, dict[str, ExperimentRun]] = {layout: {} for layout in layouts}
     tasks = [(key, layout, duration) for layout in layouts for key in EXPERIMENTS]
@@ -76,12 +67,7 @@ def _run(task: tuple[str, str, float | None]) -> ExperimentRun:
 
 
 def draw(result: Reproduction, folder: Path) -> list[Path]:
-    """Draw Fig. 2, 3 and 4; return the files.
-
-    Args:
-        result: One layout.
-        folder: Where to.
-    """
+    """Draw Fig. 2, 3 and 4 of one layout into a folder; return the files."""
     runs = {key: outcome.record for key, outcome in result.outcomes.items()}
     figures = {
         "fig2": grasp_figure(runs["optimal"], result.outcomes["optimal"].scenario),
@@ -98,12 +84,7 @@ def draw(result: Reproduction, folder: Path) -> list[Path]:
 
 
 def write(results: Sequence[Reproduction], folder: Path) -> list[Path]:
-    """Write the report as Markdown; return the files.
-
-    Args:
-        results: All layouts.
-        folder: Where to, next to the figures.
-    """
+    """Write the report as Markdown next to the figures; return the files."""
     folder.mkdir(parents=True, exist_ok=True)
     report = folder / REPORT
     report.write_text("\n".join([_HEAD, *map(_section, results)]), encoding="utf-8")

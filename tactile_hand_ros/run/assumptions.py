@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The assumptions A1 to A7 of a run: how far each was from breaking, and when it did.
+"""The assumptions A1 to A7 of a run: how close each came to failing, and when it failed.
 
-Everything is computed from what the hand itself knows, joints and touch, so that a bag of a real
-hand has them too.
+Computed from joint and touch data only, so that the bag of a real hand has them too.
 """
 
 from __future__ import annotations
@@ -24,8 +23,8 @@ from tactile_hand_ros.run.metrics import Plain
 
 Array = NDArray[np.float64]
 
-_ROWS = 1000  # about so many ticks are looked at where a tick costs kinematics
-_SETTLING = 0.05  # s in which contacts only just close
+_ROWS = 1000  # approximate number of ticks for which kinematics is computed
+_SETTLING = 0.05  # s, while contacts are still closing
 _QUIET = 0.1  # N of net contact force that counts as no external load
 _MIN_JOINT_MARGIN = 1e-3  # m/rad
 _BALANCE = 1e-6
@@ -37,13 +36,13 @@ class Assumption(Plain):
 
     Attributes:
         name: A1 to A7, or the solver.
-        meaning: What is assumed.
-        margin: What is looked at, with its unit.
-        worst: Its worst value; NaN where nothing is known.
-        limit: Value it must stay above, or below where `below`; NaN where touch knows no limit.
+        meaning: The assumption in words.
+        margin: The quantity that is checked, with its unit.
+        worst: Its worst value; NaN if unknown.
+        limit: Value it must stay above, or below if `below`; NaN if touch gives no limit.
         below: Whether smaller is better.
-        held_fraction: Fraction of the looked-at time in which it held; NaN where unknown.
-        broken: Intervals in which it did not hold, start and end in s.
+        held_fraction: Fraction of the checked time during which it held; NaN if unknown.
+        broken: Intervals during which it did not hold, start and end in s.
     """
 
     name: str
@@ -57,12 +56,7 @@ class Assumption(Plain):
 
 
 def assumptions(record: Record, hand: Hand) -> list[Assumption]:
-    """Return the assumptions of a run and how each held.
-
-    Args:
-        record: The run.
-        hand: The hand, in the layout of the run.
-    """
+    """Return the assumptions of a run and how each held; `hand` has the layout of the run."""
     sparse = record.part(slice(None, None, max(1, len(record) // _ROWS)))
     found = _of_grasp(sparse, hand), _of_slip(record)
     times = sparse.times, record.times
@@ -109,8 +103,8 @@ def _of_grasp(record: Record, hand: Hand) -> dict[str, Array]:
 def _of_slip(record: Record) -> dict[str, Array]:
     """Return the margins of friction and slip at each tick, by assumption.
 
-    A4: the evidence left before an alarm, and how near a contact came to the cone of the friction
-    that the hand estimates. A6: the time left to end a slip.
+    A4: the evidence left before an alarm, and the smallest distance of a contact to its estimated
+    friction cone. A6: the time left to stop a slip.
     """
     unknown, slips = record.grip == ContactState.UNKNOWN, record.grip == ContactState.SLIP
     left = 1.0 - np.where(unknown, 0.0, record.slip_evidence).max(axis=1)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Quantities that follow from a record: errors, friction, motion in the grasp, gaps, drops."""
+"""Quantities derived from a record: errors, friction, motion in the grasp, gaps, drops."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from tactile_hand_ros.control import grasp
 from tactile_hand_ros.rotations import rotation_from_quaternion
 
 _LONG = 5
-"""Ticks that must be missing for a gap: in real time, a plant that is late skips some."""
+"""Consecutive missing ticks that count as a gap; in real time, a late plant skips a few."""
 
 
 def silent(record: Record) -> NDArray[np.bool_]:
-    """Return the ticks at which touch reports nothing because its messages are missing, shape (n,).
+    """Return the ticks at which all touch messages are missing, shape (n,).
 
-    A hand that has lost all contacts says so: without positions, and with forces of zero.
+    A hand that has lost all contacts is different: it reports no positions, and forces of zero.
     """
     missing = np.isnan(record.contact_positions[:, :, 0]).all(axis=1)
     forces = record.forces[:, :, 1]
@@ -28,16 +28,13 @@ def silent(record: Record) -> NDArray[np.bool_]:
 
 
 def spans(flags: NDArray[np.bool_]) -> list[tuple[int, int]]:
-    """Return each stretch of rows in which flags are set: its first, and the one after its last."""
+    """Return first row and row after the last of each stretch in which flags are set."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], flags, [False]]).astype(int))).tolist()
     return list(zip(edges[::2], edges[1::2], strict=True))
 
 
 def gaps(record: Record) -> list[tuple[int, int]]:
-    """Return first and last row around each stretch of missing ticks or of silence.
-
-    The rows themselves are recorded; the run is unknown between them.
-    """
+    """Return the recorded rows before and after each stretch of missing ticks or touch messages."""
     if len(record) < 3:
         return []
     steps = np.diff(record.stamps)
@@ -53,20 +50,17 @@ def gaps(record: Record) -> list[tuple[int, int]]:
 
 
 _HOLDING = 2
-"""Fingers that it takes to hold an object."""
+"""Minimum number of fingers that can hold an object."""
 
 
 def dropped_at(record: Record, releases: Sequence[float] = ()) -> float:
     """Return when the object was dropped, s; NaN if it is held at the end, or was never held.
 
-    It counts as dropped from the tick on at which fewer than two fingers touch for good, by touch.
-
-    Args:
-        record: The run.
-        releases: When a user let the hand open, s; what is let go is not dropped.
+    From the drop on, fewer than two fingers touch until the end of the run. An object that a user
+    has released, at `releases` in s, does not count as dropped.
     """
     missing = np.isnan(record.contact_positions[:, :, 0])
-    known = np.flatnonzero(~silent(record))  # of the other ticks, nothing was recorded
+    known = np.flatnonzero(~silent(record))  # the other ticks were not recorded
     held = np.flatnonzero((~missing[known]).sum(axis=1) >= _HOLDING)
     if not len(held) or held[-1] + 1 == len(known):
         return math.nan
@@ -78,10 +72,9 @@ Array = NDArray[np.float64]
 
 
 def position_error(record: Record) -> Array:
-    """Return p_d - p at every tick, shape (n, 3), m; NaN where the hand does not know p.
+    """Return p_d - p at every tick, shape (n, 3), m; NaN while the hand has no estimate of p.
 
-    Before the first command the desired pose is the one at which the grasp was first seen, as for
-    the controller.
+    Before the first command the desired pose is the initial grasp, as in the controller.
     """
     desired = _or_start(record.desired_position, record.auxiliary_position)
     return np.asarray(desired - record.auxiliary_position)
@@ -107,12 +100,7 @@ def rotation_error(record: Record) -> Array:
 
 
 def pose_errors(record: Record, dropped: float) -> tuple[Array, Array]:
-    """Return |p_d - p| in m and |r_d| at every tick, both of shape (n,).
-
-    Args:
-        record: The run.
-        dropped: When the object was dropped, s; from then on there is no error. NaN if it was not.
-    """
+    """Return |p_d - p| in m and |r_d| at every tick, shape (n,); NaN from `dropped`, s, on."""
     position = np.linalg.norm(position_error(record), axis=1)
     rotation = np.linalg.norm(rotation_error(record), axis=1)
     gone = record.times >= dropped
@@ -128,7 +116,7 @@ def _or_start(desired: Array, actual: Array) -> Array:
 
 
 def contact_forces(record: Record) -> Array:
-    """Return the contact forces by touch, or the true ones where there was no touch, (n, k, 3)."""
+    """Return the contact forces by touch, or the true ones if there was no touch, (n, k, 3)."""
     return record.true_forces if np.isnan(record.forces).all() else record.forces
 
 
@@ -140,24 +128,21 @@ def required_friction(record: Record) -> Array:
 
 
 def expected_normal_forces(record: Record) -> Array:
-    """Return k_f f*_n of every contact, shape (n, k), N: where (15) puts f_n."""
+    """Return k_f f*_n of every contact, shape (n, k), N: the normal forces by (15)."""
     return np.asarray(record.grasp_force[:, None] * record.optimal_forces[:, :, 1])
 
 
 def contact_lost(record: Record) -> NDArray[np.bool_]:
-    """Return at which ticks a contact was missing, shape (n,).
-
-    A tick of which touch reports nothing at all, because its messages are missing, is none.
-    """
+    """Return the ticks with a missing contact, shape (n,), except those without touch messages."""
     missing = np.isnan(record.contact_positions[:, :, 0])
     return np.asarray(missing.any(axis=1) & ~silent(record))
 
 
 def motion_in_grasp(record: Record) -> tuple[Array, Array]:
-    """Return how far the true object moved and turned against the grasp, (n,) m and (n,) rad.
+    """Return how far the true object moved and turned in the grasp, (n,) m and (n,) rad.
 
-    The grasp is the virtual frame at the contact centroid, and the motion counts from the first
-    tick at which both are known. NaN without ground truth.
+    The grasp is the virtual frame at the contact centroid. The motion counts from the first tick at
+    which both poses are known. NaN without ground truth.
     """
     grasp = rotation_from_quaternion(record.auxiliary_quaternion)
     apart = record.object_position - record.auxiliary_position

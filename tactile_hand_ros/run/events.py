@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What happened in a run and when: commands, disturbances, slips, alarms, reactions, contacts."""
+"""Events of a run: commands, disturbances, slips, alarms, reactions, contacts."""
 
 from __future__ import annotations
 
@@ -18,16 +18,16 @@ from tactile_hand_ros.run.derived import gaps, silent, spans
 from tactile_hand_ros.scenario.scenario import Scenario
 
 OPENING = ("grasp", "false")
-"""Service and value of the call that lets go of the object."""
+"""Service and value of the call that opens the hand."""
 
 
 class Asked(NamedTuple):
-    """Something that a node accepted or refused.
+    """A request or command that a node accepted or rejected.
 
     Attributes:
-        stamp: The first tick that it could change, or the last one before it was refused, ns.
-        key: The service, or the topic of the refused command.
-        value: The value of the request as text, or why it was refused.
+        stamp: The first tick that it could affect, or the last one before its rejection, ns.
+        key: The service, or the topic of the rejected command.
+        value: The value of the request as text, or the reason for the rejection.
     """
 
     stamp: int
@@ -36,18 +36,14 @@ class Asked(NamedTuple):
 
 
 def read_asked(messages: TopicMessages) -> list[Asked]:
-    """Read an `accepted/<node>/requests` or `rejected/<node>`.
-
-    Raises:
-        BagError: If a message is broken.
-    """
+    """Read an `accepted/<node>/requests` or `rejected/<node>`; raise BagError if it is broken."""
     decoded = [decode("diagnostic_msgs/msg/DiagnosticArray", one) for one in messages.data]
     pairs = [(nanoseconds(each.header.stamp), each.status[0].values[0]) for each in decoded]
     return [Asked(stamp, pair.key, pair.value) for stamp, pair in pairs]
 
 
 def releases(requests: Sequence[Asked]) -> list[float]:
-    """Return when the hand was asked to open, s, without what a later grasp has ended."""
+    """Return when the hand was asked to open, s, except where a later grasp closed it again."""
     found: list[float] = []
     for each in requests:
         if each.key == OPENING[0]:
@@ -56,7 +52,7 @@ def releases(requests: Sequence[Asked]) -> list[float]:
 
 
 def nanoseconds(stamp: Any) -> int:
-    """Return the time in a message."""
+    """Return the timestamp of a message, ns."""
     return int(stamp.sec) * 10**9 + int(stamp.nanosec)
 
 
@@ -76,11 +72,11 @@ Kind = Literal[
 ]
 
 SLIDING = 1e-3
-"""Speed of a contact that counts as slip; slower sliding is creep of contacts that hold, m/s."""
+"""Minimum speed that counts as slip; slower sliding is the creep of holding contacts, m/s."""
 
-_PAUSE = 0.02  # s within which what stops and begins again is still the same
-_RISE = 0.02  # fraction by which the grasp force must have risen to count as a reaction
-_REACTION = 0.25  # s after an alarm in which a rise counts as its reaction
+_PAUSE = 0.02  # s; shorter pauses do not split an event
+_RISE = 0.02  # relative rise of the grasp force that counts as a reaction
+_REACTION = 0.25  # s after an alarm during which a rise counts as its reaction
 
 
 @dataclass(frozen=True)
@@ -89,12 +85,11 @@ class Event:
 
     Attributes:
         time: Simulated time, s.
-        kind: What it was: ``slip`` is a contact that truly starts to slide, ``detection`` the
-            alarm of the hand, ``reaction`` the rise of the grasp force after it; ``request`` is
-            a service that a user called, ``refusal`` a command that the hand refused, ``gap``
-            ticks that the recording lacks.
-        finger: Name of the finger, empty where it concerns the whole hand.
-        text: The same in words.
+        kind: ``slip`` is the true start of sliding, ``detection`` the alarm of the hand,
+            ``reaction`` the rise of the grasp force after it, ``request`` a service call by a user,
+            ``refusal`` a rejected command, ``gap`` a stretch of ticks missing from the recording.
+        finger: Name of the finger, empty if it concerns the whole hand.
+        text: The event in words.
     """
 
     time: float
@@ -106,12 +101,9 @@ class Event:
 def events(
     record: Record, scenario: Scenario | None = None, *, dropped: float = math.nan
 ) -> list[Event]:
-    """Return the events of a run in order of time.
+    """Return the events of a run in order of time; without ground truth, none of kind ``slip``.
 
-    Args:
-        record: The run; without ground truth there are no events of the kind ``slip``.
-        scenario: Its scenario, for the disturbances.
-        dropped: When the object was dropped, s; NaN if it was not.
+    `dropped` is the time of the drop, s; NaN if there was none.
     """
     found = [*_commands(record), *_of_fingers(record), *_reactions(record), *_gaps(record)]
     if not math.isnan(dropped):
@@ -122,7 +114,7 @@ def events(
 
 
 def asked_events(requests: Sequence[Asked], refusals: Sequence[Asked]) -> list[Event]:
-    """Return the events of service calls and of refused commands."""
+    """Return the events of service calls and of rejected commands."""
     calls = [
         Event(
             1e-9 * each.stamp,
@@ -131,10 +123,10 @@ def asked_events(requests: Sequence[Asked], refusals: Sequence[Asked]) -> list[E
             f"a user calls {each.key}" + (f" ({each.value})" if each.value else ""),
         )
         for each in requests
-        if each.stamp or each.key != "enable"  # said at the first tick, without any call
+        if each.stamp or each.key != "enable"  # reported at the first tick, without a call
     ]
     return calls + [
-        Event(1e-9 * each.stamp, "refusal", "", f"{each.key} is refused: {each.value}")
+        Event(1e-9 * each.stamp, "refusal", "", f"{each.key} is rejected: {each.value}")
         for each in refusals
     ]
 
@@ -199,7 +191,7 @@ def _of_fingers(record: Record) -> list[Event]:
 
 
 def _held_through(flags: Flags, unknown: Flags) -> Flags:
-    """Return flags that keep their value where it is not known."""
+    """Return flags that keep their last known value while unknown."""
     rows = np.maximum.accumulate(np.where(unknown, 0, np.arange(len(flags))))
     return np.asarray(flags[rows] & ~(unknown & (rows == 0)))
 
@@ -208,12 +200,12 @@ def _gaps(record: Record) -> list[Event]:
     found: list[Event] = []
     for first, last in gaps(record):
         lasted = record.times[last] - record.times[first]
-        found += _at(record, [first], "gap", "", f"nothing was recorded for {lasted:.3g} s")
+        found += _at(record, [first], "gap", "", f"no data was recorded for {lasted:.3g} s")
     return found
 
 
 def _starts(record: Record, flags: Flags) -> list[int]:
-    """Return the rows in which something begins that had not just stopped, not the first row."""
+    """Return the rows at which flags become set after a pause; the first row does not count."""
     found, ended = [], -math.inf
     for first, after in spans(flags):
         if first and record.times[first] - ended > _PAUSE:
@@ -223,7 +215,7 @@ def _starts(record: Record, flags: Flags) -> list[int]:
 
 
 def _reactions(record: Record) -> list[Event]:
-    """Return when the grasp force had risen after each alarm of a grasp without one."""
+    """Return when the grasp force rose after each alarm that follows an alarm-free state."""
     found: list[Event] = []
     for row in _starts(record, (record.grip == ContactState.SLIP).any(axis=1)):
         start = record.grasp_force[max(0, row - 1)]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a run achieved, as numbers."""
+"""The results of a run as numbers."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ DROPPED = "object dropped"
 REACHED = "goal reached"
 NOT_REACHED = "goal not reached"
 STEERED = "finished"
-"""Of a run that a user steered and ended: no goal says where it should have come to."""
+"""Outcome of a run that a user steered and ended: no goal applies."""
 
 
 def json_ready(value: Any) -> Any:
-    """Replace what JSON has no word for, in nested plain data, by None."""
+    """Replace NaN and infinity, which JSON lacks, by None in nested plain data."""
     if isinstance(value, Mapping):
         return {key: json_ready(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
@@ -34,7 +34,7 @@ def json_ready(value: Any) -> Any:
 
 
 class Plain:
-    """A dataclass of numbers and texts."""
+    """A dataclass of numbers and strings."""
 
     def to_dict(self: Any) -> dict[str, Any]:
         """Return plain data for JSON, in which NaN and infinity become None."""
@@ -45,19 +45,12 @@ class Plain:
 Array = NDArray[np.float64]
 
 START_S = 0.02
-"""Time after the first tick that peaks of friction leave out: at tick 0 no force acts yet, s."""
+"""Initial time that friction peaks leave out, s: at tick 0 no force acts yet."""
 
 
 @dataclass(frozen=True)
 class Judged:
-    """One number that the goal of a scenario limits.
-
-    Attributes:
-        name: What it is.
-        value: How large it is, NaN where it is not known.
-        limit: The largest that is good.
-        unit: Of both.
-    """
+    """One number that the goal of a scenario limits; its value is NaN if unknown."""
 
     name: str
     value: float
@@ -66,15 +59,15 @@ class Judged:
 
     @property
     def passed(self) -> bool:
-        """Whether it is known and inside its limit."""
+        """Whether the value is known and within its limit."""
         return self.value <= self.limit
 
 
 @dataclass(frozen=True)
 class Metrics(Plain):
-    """Results of a run; NaN where the record does not show them, mappings go by finger.
+    """Results of a run; NaN if the record does not contain them. Mappings are keyed by finger.
 
-    Final values are those of the last tick, so they are NaN when the grasp was lost by then.
+    Final values are those of the last tick; they are NaN if the grasp was lost by then.
 
     Attributes:
         ticks: Number of ticks.
@@ -94,16 +87,15 @@ class Metrics(Plain):
         final_required_friction: beta.
         max_required_friction: Largest beta after the first 0.02 s.
         contacts_lost_ticks: Ticks at which a finger did not touch.
-        first_contact_loss_s: When that happened first, simulated time.
+        first_contact_loss_s: Simulated time of the first such tick.
         max_object_displacement_in_grasp_m: True object against the virtual frame of the contacts.
         max_object_rotation_in_grasp_rad: The same, its rotation.
-        max_slip_distance_m: Largest distance that a contact slid in all; NaN where only the
-            simulation knows it.
-        slip_count: How often a contact started to slide, None where only the simulation knows it.
-        slip_alarm_count: How often the hand detected that a contact slips.
-        dropped_at_s: When the object was dropped; NaN if it was held or let go.
-        goal_reached: Whether the object is held, the final errors are inside the scenario's goal,
-            and no contact is known to have slid farther than it allows; None without a scenario.
+        max_slip_distance_m: Largest total slip distance of a contact; NaN without ground truth.
+        slip_count: How often a contact started to slide; None without ground truth.
+        slip_alarm_count: How often the hand detected a slip.
+        dropped_at_s: When the object was dropped; NaN if it was held or released.
+        goal_reached: Whether the object is held, the final errors are within the goal, and no
+            contact is known to have slid too far; None without a scenario.
 
     Example:
         >>> from tactile_hand_ros import simulate
@@ -143,11 +135,7 @@ class Metrics(Plain):
         return not math.isnan(self.dropped_at_s)
 
     def judged(self, goal: GoalConfig) -> list[Judged]:
-        """Return what a goal limits; slip only where it is known, which it is not for a real hand.
-
-        Args:
-            goal: The scenario's goal.
-        """
+        """Return the numbers that a goal limits; slip only with ground truth."""
         found = [
             Judged("final position error", self.final_position_error_m, goal.position_error, "m"),
             Judged(
@@ -159,11 +147,7 @@ class Metrics(Plain):
         return found
 
     def headline(self, *, steered: bool = False) -> str:
-        """Return what became of a run in a few words, empty where nothing judges it.
-
-        Args:
-            steered: Whether a user steered it.
-        """
+        """Return the outcome of the run in a few words; empty if no goal applies."""
         if self.is_dropped:
             return f"{DROPPED} at {self.dropped_at_s:.3f} s"
         if steered or self.goal_reached is None:
@@ -174,12 +158,12 @@ class Metrics(Plain):
 def metrics(
     record: Record, scenario: Scenario | None = None, *, releases: Sequence[float] = ()
 ) -> Metrics:
-    """Measure a run: how near it comes to (7), and in its normal forces to (15).
+    """Measure a run: how close it comes to (7), and in its normal forces to (15).
 
     Args:
         record: The run, at least one tick; ground truth and single topics may be missing.
         scenario: Its scenario, for the goal.
-        releases: When a user let the hand open, s.
+        releases: When a user opened the hand, s.
     """
     goal = GoalConfig() if scenario is None else scenario.goal
     dropped = derived.dropped_at(record, releases)
@@ -214,7 +198,7 @@ def metrics(
 
 
 def _force_metrics(record: Record) -> dict[str, Any]:
-    """Compare the normal forces of the last tick with k_f f*_n, and their sum with k_f."""
+    """Compare the final normal forces with k_f f*_n, and their sum with k_f."""
     every = derived.contact_forces(record)[:, :, 1]
     normal, optimal = every[-1], derived.expected_normal_forces(record)[-1]
     grasp_force = float(record.grasp_force[-1])
@@ -255,9 +239,9 @@ def _settling(record: Record, inside: NDArray[np.bool_]) -> float:
 
 
 def _peak(values: Array) -> float:
-    """Return the largest value that is known, NaN if none is."""
+    """Return the largest known value, NaN if there is none."""
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", RuntimeWarning)  # numpy warns where all is NaN
+        warnings.simplefilter("ignore", RuntimeWarning)  # NumPy warns if all are NaN
         return float(np.nanmax(values)) if values.size else math.nan
 
 

@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From the topics of a bag to a `Record`: everything with the same stamp is one row.
+"""Turn the topics of a bag into a `Record`: messages with the same timestamp form one row.
 
-The topics of a hand become arrays, one row a message. The messages of a topic nearly always have
-the same strings and lengths, so that every number sits at the same byte: one message is parsed for
-its layout, and the rest is a table of bytes of which columns are read.
+Nearly all messages of a topic have the same strings and lengths, so every number sits at the same
+byte. One message is parsed for its layout; the others are read as columns of a byte table.
 """
 
 from __future__ import annotations
@@ -41,12 +40,7 @@ _TYPES = {
 
 @dataclass(frozen=True)
 class HandTopics:
-    """The topics of one hand in a bag.
-
-    Attributes:
-        prefix: What stands before the relative names, ``/`` or ``/left/``.
-        fingers: Names of the fingers in the order of all arrays.
-    """
+    """The topics of one hand: their prefix, ``/`` or ``/left/``, and its fingers in array order."""
 
     prefix: str
     fingers: list[str]
@@ -65,10 +59,7 @@ class HandTopics:
         return found
 
     def check(self, types: Mapping[str, str]) -> None:
-        """Check that the topics have the types of the contract.
-
-        Args:
-            types: Types in the bag by full topic name.
+        """Check that the topics have the types of the contract; `types` is keyed by full name.
 
         Raises:
             BagError: If one has another type.
@@ -82,12 +73,7 @@ class HandTopics:
 
 
 def find_prefix(topics: Iterable[str], namespace: str | None, bag: object) -> str:
-    """Return what stands before the relative names of a hand's topics.
-
-    Args:
-        topics: Full names of all topics in the bag.
-        namespace: The hand's namespace; None if there is only one hand.
-        bag: Name of the bag, for the error text.
+    """Return the prefix of a hand's topics; `namespace` is None if there is only one hand.
 
     Raises:
         BagError: If there is no such hand, or more than one to choose from.
@@ -98,7 +84,7 @@ def find_prefix(topics: Iterable[str], namespace: str | None, bag: object) -> st
     if wanted is not None and (name := wanted.strip("/")) in hands:
         return hands[name]
     if not hands:
-        problem = f"has no topic {names.JOINT_STATES}, without which there are no ticks"
+        problem = f"has no topic {names.JOINT_STATES}, which defines the ticks"
     elif namespace is None:
         problem = "holds several hands; choose a namespace"
     else:
@@ -130,10 +116,6 @@ EARLY = 100_000_000
 def sections(messages: Mapping[str, TopicMessages], states: str) -> list[dict[str, TopicMessages]]:
     """Split the messages of a bag at its resets, each of which sets time back; oldest first.
 
-    Args:
-        messages: By full name; all have headers.
-        states: Full name of `joint_states`.
-
     Raises:
         MessageError: If a message has no valid header.
     """
@@ -155,8 +137,8 @@ def sections(messages: Mapping[str, TopicMessages], states: str) -> list[dict[st
 def _first_of_section(messages: TopicMessages, start: int) -> int:
     """Return the index of the first message of the section whose first tick was logged at `start`.
 
-    Topics overtake each other: it may have been logged a little earlier. It is the one that steps
-    back in time, and where none does, the first within `EARLY`.
+    Topics may overtake each other, so it may have been logged a little earlier. It is the message
+    that steps back in time or, without one, the first within `EARLY`.
     """
     early = bisect_left(messages.log_times, start - EARLY)
     late = min(bisect_right(messages.log_times, start), len(messages.data) - 1)
@@ -185,10 +167,7 @@ class Series:
         return len(self.stamps)
 
     def rows(self, name: str, count: int) -> Array:
-        """Return a group of doubles of every message, shape (n, count).
-
-        Messages that hold another number of doubles give NaN.
-        """
+        """Return a group of doubles per message, shape (n, count); NaN if their count differs."""
         out = np.full((len(self), count), np.nan)
         for table in self.tables:
             if table.layout.doubles[name][1] == count:
@@ -196,10 +175,7 @@ class Series:
         return out
 
     def joints(self, name: str, joints: list[str]) -> Array:
-        """Return a field of JointState messages in a given order of joints, shape (n, m).
-
-        Messages without that field or with other joints give NaN.
-        """
+        """Return a JointState field in the order of `joints`, shape (n, m); NaN if they differ."""
         out = np.full((len(self), len(joints)), np.nan)
         for table in self.tables:
             given = table.layout.texts[1:]
@@ -217,11 +193,7 @@ class Series:
 def read_series(
     messages: Mapping[str, TopicMessages], types: Mapping[str, str]
 ) -> dict[str, Series]:
-    """Turn the messages of topics into arrays.
-
-    Args:
-        messages: By full name of the topic.
-        types: Type of each wanted topic by full name.
+    """Turn messages into arrays; messages and types are keyed by the full name of the topic.
 
     Raises:
         BagError: If a message is broken.
@@ -238,14 +210,10 @@ def _series(type_name: str, messages: TopicMessages) -> Series:
 
 
 def align(series: Mapping[str, Series], topics: HandTopics) -> Record:
-    """Put messages side by side by their stamps.
+    """Align the messages of all topics by their timestamps.
 
-    The ticks are the stamps of `joint_states`. Where a message was repeated the last one counts.
-    Ticks that a topic does not have stay NaN.
-
-    Args:
-        series: Topics by full name.
-        topics: Names of the hand's topics.
+    The ticks are the timestamps of `joint_states`. The last of several messages for a tick counts;
+    a tick without a message is NaN.
     """
     states = series[topics.full(names.JOINT_STATES)]
     ticks, _ = first_ticks(states)
@@ -254,7 +222,7 @@ def align(series: Mapping[str, Series], topics: HandTopics) -> Record:
     record.stamps[:] = ticks
 
     def of(name: str, rows: Callable[..., Array], *what: Any) -> Array:
-        """Return numbers of a topic at the ticks."""
+        """Return values of a topic at the ticks."""
         one = series[topics.full(name)]
         return _at_ticks(one, rows(one, *what), ticks)
 
@@ -269,7 +237,7 @@ def align(series: Mapping[str, Series], topics: HandTopics) -> Record:
     for array, name in _CONTACTS.items():
         k = len(fingers)
         poses = of(name, Series.rows, "poses", 7 * k).reshape(len(ticks), k, 7)
-        poses[np.isnan(poses[:, :, :3]).all(axis=2)] = np.nan  # no contact has no frame either
+        poses[np.isnan(poses[:, :, :3]).all(axis=2)] = np.nan  # no contact, no contact frame
         getattr(record, f"{array}_positions")[:] = poses[:, :, :3]
         getattr(record, f"{array}_quaternions")[:] = poses[:, :, 3:]
     for array, name in _POSES.items():
@@ -280,7 +248,7 @@ def align(series: Mapping[str, Series], topics: HandTopics) -> Record:
     return record
 
 
-# Arrays of a record, and where they come from: topic, field, whose names are in the message.
+# Arrays of a record and their sources: topic, field, owners of the names in the message.
 _BY_NAME = {
     "theta": (names.JOINT_STATES, "position", "joints"),
     "rates": (names.JOINT_STATES, "velocity", "joints"),
@@ -302,7 +270,7 @@ _POSES = {"auxiliary": names.AUXILIARY_POSE, "object": names.OBJECT_POSE}
 
 
 def _at_ticks(series: Series, values: Array, ticks: Times) -> Array:
-    """Return one row a tick, NaN where there is no message; of several the last one counts."""
+    """Return one row per tick, NaN without a message; the last of several messages counts."""
     out = np.full((len(ticks), values.shape[1]), np.nan)
     place = np.searchsorted(ticks, series.stamps)
     inside = place < len(ticks)
@@ -312,7 +280,7 @@ def _at_ticks(series: Series, values: Array, ticks: Times) -> Array:
 
 
 def _write_desired(record: Record, accepted: Series) -> None:
-    """Write the desired pose in force: it changes at the ticks at which one took effect."""
+    """Write the desired pose of every tick: it holds from the tick at which it takes effect."""
     for stamp, pose in zip(accepted.stamps, accepted.rows("pose", 7), strict=True):
         first = np.searchsorted(record.stamps, stamp)
         record.desired_position[first:] = pose[:3]

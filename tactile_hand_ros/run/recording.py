@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Whether a bag is complete, how fast the processes were, and how they kept to real time."""
+"""Completeness and timing of a bag: topics, throughput and command latency."""
 
 from __future__ import annotations
 
@@ -15,19 +15,13 @@ from tactile_hand_ros.run.reading import HandTopics, Series, first_ticks
 
 Times = NDArray[np.int64]
 
-# Users may send commands at any time; a hand that holds does not publish where the object is.
+# Users may send commands at any time; a holding hand does not publish its auxiliary pose.
 _NOT_EVERY_TICK = (names.ACCEPTED_POSE, names.ACCEPTED_FORCE, names.AUXILIARY_POSE, names.IMU)
 
 
 @dataclass(frozen=True)
 class TopicCount:
-    """How completely a topic was recorded.
-
-    Attributes:
-        messages: Number of messages, repeated ones included.
-        ticks: Number of ticks of the run for which there is one.
-        complete: Whether every tick has one; None where that is not required.
-    """
+    """Messages of a topic, ticks with one, and whether all ticks have one; None if not required."""
 
     messages: int
     ticks: int
@@ -41,14 +35,14 @@ class BagMetrics(Plain):
     Attributes:
         messages: Number of messages on all topics of the bag.
         topics: The hand's topics by full name.
-        absent: Topics of the hand that should be there and are not; ground truth may be absent.
-        complete: Whether every tick has a message on each topic that should have one.
-        repeated_ticks: How often a tick was sent again because an answer was late.
+        absent: Missing topics of the hand; ground truth may be absent.
+        complete: Whether every tick has a message on each required topic.
+        repeated_ticks: How often a tick was resent because a reply was late.
         wall_time_s: From the first tick to the last, by the wall clock.
         ticks_per_second: Ticks per second of wall time.
         command_latency_median_s: From a tick to the command that answers it.
         command_latency_p99_s: The same, 99th percentile.
-        command_latency_max_s: The same, longest.
+        command_latency_max_s: The same, maximum.
     """
 
     messages: int
@@ -64,13 +58,7 @@ class BagMetrics(Plain):
 
 
 def bag_metrics(series: Mapping[str, Series], topics: HandTopics, messages: int) -> BagMetrics:
-    """Measure a bag.
-
-    Args:
-        series: Topics by full name.
-        topics: Names of the hand's topics.
-        messages: Number of messages on all topics.
-    """
+    """Measure a bag that holds `messages` messages on all topics."""
     states = series[topics.full(names.JOINT_STATES)]
     ticks, logged = first_ticks(states)
     counts = {topic: _count(topic, one, ticks, topics) for topic, one in series.items() if len(one)}
@@ -102,15 +90,7 @@ def _count(topic: str, series: Series, ticks: Times, topics: HandTopics) -> Topi
 
 
 def latencies(series: Mapping[str, Series], topics: HandTopics) -> NDArray[np.float64]:
-    """Return the time from each tick to the first command that answers it, by the wall clock.
-
-    Args:
-        series: Topics by full name.
-        topics: Names of the hand's topics.
-
-    Returns:
-        Shape (n,), s, in the order of the ticks; NaN where no command was recorded.
-    """
+    """Return the wall time [s] from each tick to its first command, shape (n,); NaN without one."""
     ticks, logged = first_ticks(series[topics.full(names.JOINT_STATES)])
     command = series[topics.full(names.JOINT_COMMAND)]
     stamps, first = np.unique(command.stamps, return_index=True)

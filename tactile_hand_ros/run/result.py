@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What follows from the arrays of a run and its scenario, simulated or recorded alike."""
+"""Results derived from the arrays of a run and its scenario, simulated or recorded."""
 
 from __future__ import annotations
 
@@ -25,26 +25,25 @@ from tactile_hand_ros.scenario.scenario import Scenario, resolved
 
 
 class RunData:
-    """A run in arrays; `Run` fills in what only a bag holds.
+    """A run as arrays; `Run` adds what only a bag contains.
 
     Attributes:
-        record: The run tick by tick; NaN where there is no message.
-        scenario: What was run; None where that is not known or cannot be used.
-        scenario_problem: Why the scenario that is there cannot be used, empty otherwise.
-        scenario_text: The scenario as YAML, also where it cannot be used; empty where none is.
-        name: What the run is called.
-        path: What was opened, the present folder without a bag.
-        folder: Where results belong.
-        earlier: What came before each reset, oldest first.
-        steered: Whether a user steered the run, so that no goal judges it.
+        record: The run tick by tick; NaN without a message.
+        scenario: The scenario; None if unknown or unusable.
+        scenario_problem: Why the recorded scenario is unusable, empty otherwise.
+        scenario_text: The scenario as YAML, even if unusable; empty without one.
+        name: Name of the run.
+        path: The opened path; the current folder without a bag.
+        folder: Folder for results.
+        earlier: The runs before each reset, oldest first.
+        steered: Whether a user steered the run, so that no goal applies.
         requests: The service calls that changed the controller.
-        refusals: The commands of users that were refused.
+        refusals: The user commands that were rejected.
         bag_metrics: Completeness and timing of the bag, None without one.
-        latencies: Wall time from each tick to the command that answers it, shape (n,), s; NaN
-            without.
-        custom_data: What the recorder noted: versions, lost messages.
-        start_time: When the recording started, ns since the epoch; None without one.
-        description: The URDF of the hand as recorded, empty where it was not.
+        latencies: Wall time from each tick to its command, shape (n,), s; NaN without a bag.
+        custom_data: Notes of the recorder: versions, lost messages.
+        start_time: When the recording started, ns since the epoch; None without a bag.
+        description: The recorded URDF of the hand, empty if none was recorded.
     """
 
     path = folder = Path()
@@ -58,7 +57,7 @@ class RunData:
     start_time: int | None = None
 
     def __init__(self, record: Record, scenario: Scenario | None) -> None:
-        """Take the arrays of a run and what was run, None where that is not known."""
+        """Take the arrays of a run and its scenario, None if unknown."""
         self.record, self.scenario = record, scenario
         self.name = "run" if scenario is None else scenario.name
         self.scenario_text = "" if scenario is None else resolved(scenario)
@@ -66,10 +65,10 @@ class RunData:
 
     @property
     def lost_messages(self) -> int | None:
-        """How many messages of the hand the recorder lost, None where it does not say.
+        """How many messages of the hand the recorder lost, None if it did not report it.
 
-        What a node publishes on the topics that every node has, before the recorder has found it,
-        is lost on a busy machine; the run is complete without it.
+        Topics that every node has do not count: on a busy machine, their first messages may precede
+        the recorder's discovery of them, and the run is complete without them.
         """
         noted = {k.removeprefix(LOST_KEY): n for k, n in self.custom_data.items() if LOST_KEY in k}
         counts = [n for topic, n in noted.items() if topic and topic not in names.OF_ALL]
@@ -77,25 +76,25 @@ class RunData:
 
     @cached_property
     def metrics(self) -> Metrics:
-        """What was achieved."""
+        """The results as numbers."""
         found = metrics(self.record, self.scenario, releases=releases(self.requests))
         return replace(found, goal_reached=None) if self.steered else found
 
     @property
     def headline(self) -> str:
-        """What became of the run, in a few words; empty where nothing judges it."""
+        """The outcome of the run in a few words; empty if no goal applies."""
         return self.metrics.headline(steered=self.steered)
 
     @property
     def assumptions(self) -> list[Assumption]:
-        """The assumptions A1 to A7 and when each held; empty where the hand is not known."""
+        """The assumptions A1 to A7 and when each held; empty if the hand is unknown."""
         return self._assumptions[0]
 
     @property
     def assumptions_problem(self) -> str:
-        """Why there are no assumptions although there is a scenario, empty otherwise.
+        """Why a run with a scenario has no assumptions, empty otherwise.
 
-        A bag is read elsewhere too, where the file of its hand is another or none.
+        On another machine, the hand file may be missing or different.
         """
         return self._assumptions[1]
 
@@ -106,12 +105,12 @@ class RunData:
         try:
             hand = Hand.load(self.scenario.hand, self.scenario.layout)
         except TactileHandError as error:
-            return [], f"The assumptions are left out, because the hand is not known here: {error}."
+            return [], f"The assumptions are omitted because the hand cannot be loaded: {error}."
         here = hand.fingers, hand.joints
         recorded = len(self.record.finger_names), len(self.record.joint_names)
         if here != recorded:
             return [], (
-                f"The assumptions are left out, because the hand '{self.scenario.hand}' has "
+                f"The assumptions are omitted because the hand '{self.scenario.hand}' has "
                 f"{here[0]} fingers and {here[1]} joints here, "
                 f"{recorded[0]} and {recorded[1]} in the bag."
             )
@@ -119,16 +118,16 @@ class RunData:
 
     @cached_property
     def events(self) -> list[Event]:
-        """What happened, in order of time: see `run.events.Event`."""
+        """The events in order of time: see `run.events.Event`."""
         found = events(self.record, self.scenario, dropped=self.metrics.dropped_at_s)
         found += asked_events(self.requests, self.refusals)
         return sorted(found, key=lambda event: event.time)
 
     def to_pandas(self) -> Any:
-        """Return a pandas.DataFrame with one row a tick, indexed by time in s.
+        """Return a pandas.DataFrame with one row per tick, indexed by time in s.
 
-        Columns are called ``theta.<joint>``, ``forces.<finger>.y`` and so on; ``attrs["meaning"]``
-        says what each array is and its unit.
+        Columns have names such as ``theta.<joint>`` and ``forces.<finger>.y``. ``attrs["meaning"]``
+        gives the meaning and unit of each array.
 
         Raises:
             MissingLibraryError: If pandas is not installed.
@@ -143,7 +142,7 @@ class RunData:
 
 
 def columns(record: Record) -> dict[str, Any]:
-    """Return the arrays of a record column by column, by names such as ``forces.thumb.y``."""
+    """Return the arrays of a record as columns with names such as ``forces.thumb.y``."""
     axes = {"k": record.finger_names, "m": record.joint_names, "3": "xyz", "4": "xyzw"}
     out: dict[str, Any] = {}
     for f in fields(Record):

@@ -39,12 +39,12 @@ _REFUSALS = tuple(map(names.rejected, (names.CONTROLLER, names.REGULATOR)))
 class Run(Result):
     """A recorded run.
 
-    A reset sets time back: all that is here is about what came after the last one, and `earlier`
-    has what came before.
+    A reset sets time back. All attributes describe the part after the last reset; `earlier` holds
+    the parts before it.
 
     Attributes:
-        path: What was opened.
-        bag: The bag in it.
+        path: The opened path.
+        bag: Its bag.
         summary: Topics, message counts and times of the bag.
         topics: Names of the hand's topics and fingers.
         messages: The messages of the hand's topics by full name.
@@ -66,15 +66,15 @@ class Run(Result):
         fingers: Sequence[str] | None = None,
         steered: bool | None = None,
     ) -> None:
-        """Open a run and read all of it.
+        """Read a run completely.
 
         Args:
             path: Folder of a run (with ``bag/`` in it), or a bag folder or file.
             namespace: Namespace of the hand, if the bag holds several.
             fingers: Names of the fingers in order; by default those of the scenario's hand, or all
                 that have topics.
-            steered: Whether a user steered it and no goal judges it; by default as summary.json
-                next to the bag says.
+            steered: Whether a user steered it, so that no goal applies; by default as recorded in
+                the summary.json next to the bag.
 
         Raises:
             BagError: If there is no such run, or its bag is broken or holds no such hand.
@@ -83,7 +83,7 @@ class Run(Result):
         self.bag = find_bag(self.path)
         self.summary = summarize(self.bag)
         self.custom_data, self.start_time = self.summary.custom_data, self.summary.start_time
-        # Results belong into the run's folder, or next to a bare bag.
+        # Results belong in the run's folder, or next to a bare bag.
         self.folder = self.path if self.bag != self.path else self.bag.parent
         self._load_scenario()
         self.steered = self._was_steered() if steered is None else steered
@@ -99,7 +99,7 @@ class Run(Result):
         states = self.topics.full(names.JOINT_STATES)
         if not messages[states].data:
             raise BagError(
-                f"The bag {self.bag} has no message on {states}, so there is not a single tick; "
+                f"The bag {self.bag} has no message on {states}, so it contains no ticks; "
                 "was the hand running?"
             )
         *earlier, last = sections(messages, states)
@@ -107,9 +107,9 @@ class Run(Result):
         self._take(last)
 
     def _load_scenario(self) -> None:
-        """Take the scenario from the bag or next to it.
+        """Load the scenario from the bag or from the file next to it.
 
-        A bag outlives the version that wrote it: its arrays must not be lost with its scenario.
+        A bag outlives the version that wrote it, so an outdated scenario must not fail the run.
         """
         text = self.custom_data.get(SCENARIO_KEY, "")
         files = (folder / SCENARIO_FILE for folder in (self.path, self.bag.parent))
@@ -130,7 +130,7 @@ class Run(Result):
             content = json.loads((self.bag.parent / SUMMARY_FILE).read_text(encoding="utf-8"))
             return bool(content["interactive"])
         except (OSError, ValueError, KeyError, TypeError):
-            return False  # a bag of its own
+            return False  # a bare bag
 
     def _find_topics(self, namespace: str | None, fingers: Sequence[str] | None) -> HandTopics:
         types = self.summary.types
@@ -141,7 +141,7 @@ class Run(Result):
         return topics
 
     def _fingers_of_scenario(self, seen: list[str]) -> list[str]:
-        """Return the fingers of the scenario's hand, none if the bag is of another hand."""
+        """Return the fingers of the scenario's hand, or none if the bag is of another hand."""
         try:
             named = load_hand_config(self.scenario.hand).finger_names if self.scenario else []
         except TactileHandError:  # the hand's file stayed on the machine of the run
@@ -149,14 +149,14 @@ class Run(Result):
         return named if set(seen) <= set(named) else []
 
     def _read_description(self, messages: TopicMessages) -> str:
-        """Return the URDF of the hand as recorded, empty where it was not."""
+        """Return the recorded URDF of the hand, empty if none was recorded."""
         kind = self.summary.types.get(self.topics.full(names.ROBOT_DESCRIPTION))
         if not messages.data or kind != "std_msgs/msg/String":
             return ""
         return str(decode(kind, messages.data[0]).data)
 
     def _take(self, messages: Mapping[str, TopicMessages]) -> Run:
-        """Fill in what the messages of one section tell."""
+        """Fill in everything that follows from the messages of one section."""
         self.messages = messages
         self.series = read_series(messages, self.topics.types)
         self.record = align(self.series, self.topics)

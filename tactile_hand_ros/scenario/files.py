@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Scenario files as plain data: found, laid over what they extend, changed by single values."""
+"""Scenario files as plain data: find them, merge them with their bases, change values."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from tactile_hand_ros.config.plain_yaml import SUFFIXES, find_file, read_yaml
 from tactile_hand_ros.errors import ConfigurationError
 from tactile_hand_ros.own_law import folder_of
 
-_NOT_INHERITED = ("name", "description")  # they say what the extended scenario is about
+_NOT_INHERITED = ("name", "description")  # they describe the extended scenario
 CONTROLLER = "manipulation_controller"
 _LAW = f"{CONTROLLER}.law"
 
 
 def read_layers(path: Path, seen: tuple[Path, ...] = ()) -> dict[str, Any]:
-    """Read a scenario and lay it over the one that it extends.
+    """Read a scenario and merge it over the one that it extends.
 
     Raises:
         ConfigurationError: If a file cannot be read, or scenarios extend each other in a loop.
@@ -48,9 +48,9 @@ def read_layers(path: Path, seen: tuple[Path, ...] = ()) -> dict[str, Any]:
 
 
 def _find_base(base: str, path: Path) -> Path:
-    """Return the scenario that another extends: a file beside it, else one of the package.
+    """Return the scenario that another extends: a file next to it, else one of the package.
 
-    A user's ``paper.yaml`` may extend ``paper``, which then is the one of the package.
+    A user's ``paper.yaml`` may extend ``paper``, which is then the one of the package.
     """
     beside = path.parent / os.path.expanduser(base if base.endswith(SUFFIXES) else f"{base}.yaml")
     is_itself = beside.resolve() == path
@@ -62,9 +62,9 @@ def _find_base(base: str, path: Path) -> Path:
 
 
 def _complete(data: dict[str, Any], path: Path) -> dict[str, Any]:
-    """Return a scenario with what depends on the place of its file: hand and own law.
+    """Return a scenario with paths relative to its file resolved: hand and own law.
 
-    ``law`` at the top is short for that of the controller, and ``law: NAME`` for
+    A ``law`` at the top level is short for that of the controller, and ``law: NAME`` for
     ``law: {name: NAME}``.
     """
     data = dict(data)
@@ -72,7 +72,7 @@ def _complete(data: dict[str, Any], path: Path) -> dict[str, Any]:
         data["hand"] = _beside(hand, path.parent)
     section = data.get(CONTROLLER, {})
     if not isinstance(section, dict) or "law" not in {*data, *section}:
-        return data  # validation will say what is wrong
+        return data  # validation reports the error
     if "law" in data and "law" in section:
         raise ConfigurationError(f"{path}: 'law' is given twice, at the top and in '{CONTROLLER}'")
     law = data.pop("law") if "law" in data else section["law"]
@@ -84,21 +84,21 @@ def _complete(data: dict[str, Any], path: Path) -> dict[str, Any]:
 
 
 def _beside(hand: str, folder: Path) -> str:
-    """Return a hand's file as an absolute path; names of hands stay."""
+    """Return a hand's file as an absolute path; names of hands stay unchanged."""
     if not hand.endswith(SUFFIXES) or hand.startswith("~"):
         return hand
     return os.path.normpath(folder.resolve() / hand)
 
 
 def _without_layout(under: dict[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
-    """Return a scenario without its layout where another hand is laid over it."""
+    """Return a scenario without its layout if another hand replaces its own."""
     if over.get("hand", under.get("hand")) == under.get("hand"):
         return under
     return {key: value for key, value in under.items() if key != "layout"}
 
 
 def merged(under: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
-    """Lay mappings over each other key by key; lists and values are replaced whole."""
+    """Merge mappings key by key; replace lists and values completely."""
     out = dict(under)
     for key, value in over.items():
         if isinstance(value, dict) and isinstance(out.get(key), dict):
@@ -108,20 +108,16 @@ def merged(under: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def put_changes(data: dict[str, Any], changes: Mapping[str, Any]) -> dict[str, str]:
-    """Put values into a scenario by dotted key; files are looked for in the working directory.
-
-    Args:
-        data: The scenario, which is changed.
-        changes: Values by dotted key (``plant.rate``).
+    """Put values into `data` by dotted key; files are relative to the working directory.
 
     Returns:
         The key of `changes` by the place that it sets.
 
     Raises:
-        ConfigurationError: If a path leads through something that has no keys.
+        ConfigurationError: If a path leads through a value that has no keys.
     """
     here, places = Path.cwd(), {}
-    # The hand first: a layout that is given with it must stay.
+    # The hand first: a layout that is set together with it must stay.
     for key, value in sorted(changes.items(), key=lambda pair: pair[0] != "hand"):
         place = f"{CONTROLLER}.{key}" if key.split(".")[0] == "law" else key
         if place == "hand" and isinstance(value, str):
@@ -137,7 +133,7 @@ def put_changes(data: dict[str, Any], changes: Mapping[str, Any]) -> dict[str, s
 
 
 def _put(data: dict[str, Any], keys: list[str], value: Any) -> None:
-    """Set a value by its path, in which a number counts the items of a list from 0."""
+    """Set a value by its path; a number in the path is an index into a list."""
     place: Any = data
     for index, key in enumerate(keys):
         is_known = isinstance(place, dict)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Whether a scenario can work at all, said before anything is started."""
+"""Check whether a scenario can work at all, before anything is started."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def check_scenario(scenario: Scenario) -> None:
         GraspError: If too few fingers touch, the hand is singular or the normals cannot balance.
         PoseError: If a target is out of reach.
         ConfigurationError: If a value does not fit the hand, a gain is unstable at this rate, or a
-            law of the user's own fails.
+            user law fails.
     """
     plant = Plant(scenario.plant)
     hand, state = plant.hand, plant.state
@@ -76,7 +76,7 @@ def check_scenario(scenario: Scenario) -> None:
 
 
 def _check_fingers(hand: Hand, tips: Fingertips) -> None:
-    """Refuse fingers that cannot move their contacts in all directions, whatever their posture."""
+    """Reject fingers that cannot move their contacts in all directions in any posture."""
     counts = tips.linear.any(axis=1).sum(axis=1)
     i = int(counts.argmin())
     if counts[i] < 3:
@@ -88,7 +88,7 @@ def _check_fingers(hand: Hand, tips: Fingertips) -> None:
 
 
 def _check_posture(hand: Hand, theta: NDArray[np.float64]) -> None:
-    """Refuse a start beyond the limits of a joint."""
+    """Reject an initial posture beyond the limits of a joint."""
     lower, upper = hand.position_limits
     beyond = np.flatnonzero((theta < lower) | (theta > upper))
     if len(beyond):
@@ -101,22 +101,22 @@ def _check_posture(hand: Hand, theta: NDArray[np.float64]) -> None:
 
 
 def _check_mode(scenario: Scenario) -> None:
-    """Refuse the baselines (8) and (10) with slip prevention.
+    """Reject slip prevention with the baselines (8) and (10).
 
-    They press toward the centroid with k_f times a distance, so that the newtons which the
-    regulator finds the object to need would be taken for newtons per meter.
+    They press toward the centroid with k_f times a distance, so the newtons required by the
+    regulator would be misread as newtons per meter.
     """
     name, mode = scenario.manipulation_controller.law.name, scenario.slip_regulator.mode
     if name in LAWS and name != "optimal" and mode != "user":
         raise ConfigurationError(
-            f"the law '{name}' multiplies the grasp force by a distance, so that slip prevention "
-            f"would press with another force than it computes; set slip_regulator.mode to user "
+            f"the law '{name}' multiplies the grasp force by a distance, so slip prevention "
+            f"would apply a different force than it computes; set slip_regulator.mode to user "
             f"instead of {mode}, or the law to optimal"
         )
 
 
 def check_own_law(config: LawConfig, hand: Hand, seen: LawInput) -> None:
-    """Ask a law of the user's own for its torques, before it holds anything.
+    """Call a user law once for its torques, before it holds anything.
 
     Raises:
         ConfigurationError: If it fails, or does not return a finite torque for each joint.

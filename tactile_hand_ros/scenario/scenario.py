@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Scenarios: one typed YAML file that says everything about a run."""
+"""Scenarios: one typed YAML file that describes a run completely."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from tactile_hand_ros.simulation.skin import CalibrationConfig, TactileSensorCon
 
 Vector = tuple[float, float, float]
 
-# What is said once for the whole scenario and handed to every node that has such a parameter.
+# Set once for the whole scenario and passed to every node that has such a parameter.
 _SHARED = ("hand", "layout", "gravity", "calibration", "seed", "duration")
 NODES = ("plant", "tactile_sensor", "slip_regulator", "force_optimizer", "manipulation_controller")
 
@@ -62,7 +62,7 @@ class TargetConfig(Config):
         return round(self.time * 1e9)
 
     def target(self) -> Target:
-        """Return position and orientation as arrays, NaN where they are kept."""
+        """Return position and orientation as arrays, NaN for kept ones."""
         position = np.full(3, np.nan) if self.position is None else np.array(self.position)
         if self.rotation is None:
             return Target.of(position, np.full(4, np.nan))
@@ -70,10 +70,10 @@ class TargetConfig(Config):
 
 
 class UserForceConfig(Config):
-    """A grasp force that the user asks for, and when.
+    """A grasp force requested by the user, and its time.
 
-    `ClosedLoop` takes it at that very tick. Over ROS it is sent when the orchestrator sees that the
-    time has come, as a user would, and so arrives some ticks later, not always as many.
+    `ClosedLoop` applies it at that very tick. Over ROS, the orchestrator sends it when the time has
+    come, like a user, so it arrives a varying number of ticks later.
     """
 
     time: float = param(0.0, "simulated time of the request", unit="s", ge=0.0)
@@ -86,11 +86,11 @@ class UserForceConfig(Config):
 
 
 UNLIMITED_SLIP = 1.0
-"""Slip distance that limits nothing: farther than any contact slides in a hand [m]."""
+"""Unlimited slip distance: farther than any contact slides in a hand [m]."""
 
 
 class GoalConfig(Config):
-    """What counts as having reached the last target."""
+    """Limits within which the last target counts as reached."""
 
     position_error: float = param(0.001, "largest final position error", unit="m", gt=0.0)
     rotation_error: float = param(0.01, "largest final orientation error |r_d|", unit="rad", gt=0.0)
@@ -122,7 +122,7 @@ class Scenario(Config):
     @model_validator(mode="before")
     @classmethod
     def _share(cls, data: Any) -> Any:
-        """Hand what is said once, at the top, to every node that needs it."""
+        """Pass shared values from the top level to every node that needs them."""
         if not isinstance(data, dict):
             return data
         data = dict(data)
@@ -131,13 +131,13 @@ class Scenario(Config):
             assert isinstance(model, type) and issubclass(model, Config)
             shared = [name for name in _SHARED if name in model.model_fields]
             top = {name: data.get(name, cls.model_fields[name].default) for name in shared}
-            if isinstance(section, Config):  # its defaults would contradict the top unnoticed
+            if isinstance(section, Config):  # its defaults would silently contradict the top level
                 raise ValueError(f"give '{node}' as a mapping, not as {type(section).__name__}")
             if not isinstance(section, dict):
-                continue  # nonsense that validation will name
+                continue  # validation reports the error
             if wrong := [name for name in shared if name in section]:
                 raise ValueError(f"set '{wrong[0]}' once at the top, not in '{node}'")
-            # Defaults too: those of a node need not be those of the scenario.
+            # Defaults too: those of a node may differ from those of the scenario.
             data[node] = {**section, **top}
         _derive_holds(data)
         return data
@@ -167,10 +167,10 @@ class Scenario(Config):
     def changed(self, changes: Mapping[str, Any]) -> Scenario:
         """Return a validated copy with other values, by dotted key (``plant.rate``).
 
-        A law that the changes name is imported; one that only the scenario names is not.
+        A law named in the changes is imported; one named only in the scenario is not.
 
         Raises:
-            ConfigurationError: If a key or value is wrong; says which.
+            ConfigurationError: If a key or value is wrong; names it.
         """
         data = plain(self)
         places = put_changes(data, changes)
@@ -192,10 +192,9 @@ class Scenario(Config):
 
 
 def _derive_holds(data: dict[str, Any]) -> None:
-    """Let the holds follow the regulator's limit and the encoders, unless they have their own.
+    """Derive the holds' limits from the regulator and the encoders unless they are set.
 
-    Args:
-        data: A scenario before validation; what is not a mapping is left to the validation.
+    `data` is a scenario before validation; invalid sections stay unchanged.
     """
     plant, controller, regulator = (
         data[name] for name in ("plant", "manipulation_controller", "slip_regulator")
@@ -211,7 +210,7 @@ def _derive_holds(data: dict[str, Any]) -> None:
     try:
         encoder = EncoderConfig.model_validate(plant.get("encoder", {}))
     except ValidationError:
-        pass  # which the validation of the scenario will name
+        pass  # validation of the scenario reports the error
     else:
         seen = {"resolution": encoder.resolution}
         derived, posture = {**derived, **seen}, {**seen, **posture}
@@ -222,24 +221,24 @@ def _derive_holds(data: dict[str, Any]) -> None:
 
 
 def _touch_latency(data: dict[str, Any]) -> float:
-    """Return the largest age of forces: latency and time between samples of the skin.
+    """Return the largest age of forces: latency plus sample time of the skin.
 
-    That time is at least what the controller assumes.
+    The sample time is at least what the controller assumes.
     """
     sensor, late = data["tactile_sensor"], float(ControllerConfig().touch_latency)
     try:
         own, rate = (float(sensor.get(name, 0.0)) for name in ("latency", "rate"))
     except (AttributeError, TypeError, ValueError):
-        return late  # which the validation of the scenario will name
+        return late  # validation of the scenario reports the error
     apart = 1.0 / rate if rate > 0.0 else 0.0
-    return min(max(late, apart) + max(own, 0.0), 0.5)  # the largest that the controller takes
+    return min(max(late, apart) + max(own, 0.0), 0.5)  # the controller's maximum
 
 
 def plain(scenario: Scenario) -> dict[str, Any]:
     """Return a scenario as plain data that validates back to the same values."""
     data = scenario.model_dump(mode="json")
     for node in NODES:
-        for name in _SHARED:  # said once at the top
+        for name in _SHARED:  # set once at the top level
             data[node].pop(name, None)
     encoder, limit = scenario.plant.encoder, scenario.slip_regulator.maximum
     controller = data["manipulation_controller"]
@@ -251,7 +250,7 @@ def plain(scenario: Scenario) -> dict[str, Any]:
         (controller, "touch_latency", _touch_latency(data)),
         (controller, "imu", bool(scenario.plant.palm_motion)),
     )
-    for section, name, value in derived:  # what follows from other values anyway
+    for section, name, value in derived:  # derived from other values
         if section[name] == value:
             del section[name]
     return data
@@ -267,15 +266,15 @@ def load_scenario(
     changes: Mapping[str, Any] | None = None,
     options: Mapping[str, str] | None = None,
 ) -> Scenario:
-    """Load a scenario by name or path, and the user's own law if it names one.
+    """Load a scenario by name or path, and its user law if it names one.
 
     Args:
         name: Name of a scenario of the package, or path of a YAML file.
-        changes: Values to put over those of the file, by dotted key (``plant.rate``).
-        options: How the user has given a change, for error texts, such as ``--set KEY``.
+        changes: Values that replace those of the file, by dotted key (``plant.rate``).
+        options: How the user gave each change, for error texts, such as ``--set KEY``.
 
     Raises:
-        ConfigurationError: If it does not exist, or a key or value is wrong; says which and where.
+        ConfigurationError: If it does not exist, or a key or value is wrong; names its place.
     """
     path = find_file("scenario", name)
     data = read_layers(path)
@@ -291,9 +290,9 @@ def load_scenario(
 
 
 def _source(file: str, labels: Mapping[str, str]) -> Callable[[str], str]:
-    """Return a function that says where the value at a place came from: the file or an option.
+    """Return a function that names the source of the value at a place: the file or an option.
 
-    What concerns the scenario as a whole may follow from either.
+    An error of the scenario as a whole may come from either.
     """
 
     def source(place: str) -> str:
@@ -310,9 +309,9 @@ def _overlap(place: str, key: str) -> bool:
 
 
 def _check_times(scenario: Scenario, file: str, changes: Mapping[str, Any]) -> None:
-    """Refuse what is planned for after the end of the run.
+    """Reject events that are planned for after the end of the run.
 
-    A run that a change cuts short may leave out what its file plans for later.
+    A change may shorten the run below the times in its file.
     """
     plant = scenario.plant
     planned = {

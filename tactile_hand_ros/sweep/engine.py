@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Many runs on all cores or on a cluster: joblib makes them, on processes or on Dask's workers."""
+"""Run studies in parallel with joblib, on all cores or on the workers of a Dask cluster."""
 
 from __future__ import annotations
 
@@ -23,23 +23,17 @@ _PATIENCE = 10.0  # s, longest wait for a scheduler
 
 REACHED, MISSED, LOST, FAILED = "reached", "missed", "lost", "failed"
 OUTCOMES = (REACHED, MISSED, LOST, FAILED)
-"""Of a run: the goal was reached; the object is held, but not at its target, or it has slid too
-far; a contact is missing at the end; it raised an error."""
+"""Outcomes of a run: goal reached; object held, but not at its target or after too much slip; a
+contact missing at the end; error."""
 
 
 class StudyError(TactileHandError):
-    """A study that cannot continue; what was finished is kept."""
+    """A study that cannot continue; its finished runs are kept."""
 
 
 @dataclass(frozen=True, slots=True)
 class Point:
-    """One run that is to be made.
-
-    Attributes:
-        index: Number of the run in its study.
-        seed: Follows from the study's seed and the index.
-        values: The parameters.
-    """
+    """One run of a study; its seed follows from the study's seed and the index."""
 
     index: int
     seed: int
@@ -51,11 +45,11 @@ class Study:
     """A description of many runs.
 
     Attributes:
-        space: What is varied.
-        run: Makes one run; pickled, and called in other processes.
-        runs: Number of runs where a parameter has no levels.
-        seed: Of the points and of all runs.
-        description: What else sets the study apart from others, plain data for JSON.
+        space: The varied parameters.
+        run: Function of a point; pickled, and called in other processes.
+        runs: Number of runs, if a parameter has no levels.
+        seed: Seed of the points and of all runs.
+        description: Other properties that identify the study, plain data for JSON.
     """
 
     space: Space
@@ -70,15 +64,15 @@ class Study:
         return points(self.space, self.runs, self.seed)
 
     def point(self, index: int) -> Point:
-        """Return one run."""
+        """Return one point of the study."""
         seed = int(np.random.SeedSequence([self.seed, index]).generate_state(1)[0])
         pairs = zip(self.space.items(), self.fractions[index].tolist(), strict=True)
         return Point(index, seed, {name: p.value(fraction) for (name, p), fraction in pairs})
 
     def results(self, indices: Iterable[int] | None = None) -> Iterator[tuple[Point, Any]]:
-        """Make some runs, or all, and yield each with what came of it, in any order.
+        """Execute some runs, or all, and yield each with its result, in any order.
 
-        A run that fails gives its reason, with the outcome `FAILED`, and stops no other.
+        A run that fails yields its reason, with the outcome `FAILED`, and does not stop the others.
 
         Raises:
             MissingLibraryError: If joblib is not installed.
@@ -104,12 +98,12 @@ def _attempt(run: Callable[[Point], Any], point: Point) -> tuple[Point, Any]:
 def in_parallel(
     function: Callable[[Any], Any], items: Iterable[Any], *, ordered: bool = True
 ) -> Iterator[Any]:
-    """Yield what a function makes of each item, on the cores of this machine or of `workers`.
+    """Yield the result of a function for each item, on the cores of this machine or of `workers`.
 
     Args:
         function: Pickled, and called in other processes.
-        items: Its arguments; a few are taken ahead.
-        ordered: Whether results come in the order of the items, or as they are done.
+        items: Its arguments; a few are taken in advance.
+        ordered: Whether results keep the order of the items, or are yielded once they are ready.
 
     Raises:
         MissingLibraryError: If joblib is not installed.
@@ -121,22 +115,22 @@ def in_parallel(
         yield from parallel(joblib.delayed(function)(item) for item in items)
     except BrokenProcessPool:
         raise StudyError(
-            "a process died while it made a run (out of memory?); use fewer --jobs, or find the "
+            "a process died during a run (out of memory?); use fewer --jobs, or find the "
             "run with --jobs 1."
         ) from None
 
 
 def _ignore_interrupts() -> None:
-    """Leave a Ctrl-C to the process that started this one."""
+    """Leave Ctrl-C to the parent process."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 @contextlib.contextmanager
 def workers(jobs: int = -1, cluster: str = "") -> Iterator[None]:
-    """Choose where `in_parallel` runs inside the block.
+    """Choose where `in_parallel` runs inside the context.
 
     Args:
-        jobs: Number of processes of this machine; -1 for one on each core.
+        jobs: Number of local processes; -1 for one on each core.
         cluster: Address of the scheduler of a Dask cluster instead.
 
     Raises:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a sweep shows: fractions and medians, as numbers and as a page."""
+"""The results of a sweep: outcome fractions and medians, as numbers and as a page."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ Interval = tuple[float, float, float]
 
 
 def rank(ordered: Array, fraction: float) -> Any:
-    """Return a percentile that is one of the values: there is nothing between 1 and infinity."""
+    """Return a percentile that is one of the values, because values may be infinite."""
     return ordered[max(0, math.ceil(fraction * len(ordered)) - 1)]
 
 
 def fraction_of(count: int, n: int) -> tuple[float, float, float]:
-    """Return which fraction of n a count is, with its 95 % interval.
+    """Return count / n with its 95 % interval.
 
     Source: Wilson, Probable inference, the law of succession, and statistical inference, 1927.
     """
@@ -41,15 +41,13 @@ def fraction_of(count: int, n: int) -> tuple[float, float, float]:
 
 
 def median_interval(values: Array) -> tuple[float, float, float]:
-    """Return the median of a large sample with its 95 % bootstrap interval, without resampling.
+    """Return the median of a sample, shape (n,), with its 95 % bootstrap interval; NaN is ignored.
 
-    The median of a resample is the order statistic x_(j) or less if at least half of its n draws
-    are among the j smallest values, which are Binomial(n, j / n).
+    No resampling is needed for large samples: the median of a resample is the order statistic x_(j)
+    or less if at least half of its n draws are among the j smallest values, which are
+    Binomial(n, j / n).
 
     Source: Efron, Bootstrap methods: another look at the jackknife, 1979, section 3.
-
-    Args:
-        values: The sample, shape (n,); NaN is left out.
     """
     known = np.sort(values[~np.isnan(values)])
     n = len(known)
@@ -63,13 +61,7 @@ def median_interval(values: Array) -> tuple[float, float, float]:
 
 
 class Results:
-    """The finished runs of a sweep.
-
-    Attributes:
-        study: What was asked.
-        table: All columns.
-        scenario: Name of the scenario.
-    """
+    """The finished runs of a sweep."""
 
     def __init__(self, study: Study, table: Table) -> None:
         """Take a sweep of `make_sweep` and its table."""
@@ -79,7 +71,7 @@ class Results:
 
     def column(self, name: str) -> Any:
         """Return a column of the table."""
-        found = self.table.get(name)  # a metric that no run knows has no column
+        found = self.table.get(name)  # a metric that is unknown in all runs has no column
         return np.full(len(self.table["outcome"]), math.nan) if found is None else found
 
     def fractions(self) -> list[tuple[str, int, int, Interval]]:
@@ -89,7 +81,7 @@ class Results:
         return [(name, n, len(found), fraction_of(n, len(found))) for name, n in counts.items()]
 
     def medians(self) -> list[tuple[str, int, Interval]]:
-        """Return metric, number of runs that know it, and median with bootstrap interval."""
+        """Return metric, number of runs that have it, and median with bootstrap interval."""
         columns = {name: self.column(name) for name in METRICS}
         return [(n, int(np.isfinite(c).sum()), median_interval(c)) for n, c in columns.items()]
 

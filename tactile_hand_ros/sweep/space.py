@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a study varies, each a range of numbers or a choice of values, and where it is run."""
+"""The parameters of a study, each a range of numbers or a list of values, and its points."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ class Range:
 
     Attributes:
         low: Lower bound.
-        high: Upper bound, itself included.
-        is_log: Whether equal ratios are equally likely, instead of equal differences.
-        is_whole: Whether only whole numbers are meant.
-        levels: Number of values that are tried; 0 for values anywhere in the range.
+        high: Upper bound, inclusive.
+        is_log: Whether the range is sampled uniformly in its logarithm.
+        is_whole: Whether only whole numbers are allowed.
+        levels: Number of values to try; 0 for any values in the range.
     """
 
     low: float
@@ -51,7 +51,7 @@ class Range:
 
 @dataclass(frozen=True)
 class Choice:
-    """Some values, each as likely as the others."""
+    """Some values with equal probability."""
 
     values: tuple[Any, ...]
 
@@ -73,9 +73,7 @@ Space = Mapping[str, Parameter]
 def parse_parameter(text: str, whole: Collection[str] = ()) -> tuple[str, Parameter]:
     """Read ``PATH=LOW..HIGH``, ``PATH=LOW..HIGH/LEVELS``, ``PATH=LOW..HIGH:log`` or ``PATH=A,B,C``.
 
-    Args:
-        text: As on the command line.
-        whole: Paths whose ranges mean whole numbers.
+    `whole` lists the paths whose ranges contain whole numbers only.
 
     Raises:
         ConfigurationError: If it is none of these, or the range or list is empty.
@@ -116,18 +114,13 @@ def _range(refusal: str, text: str, is_whole: bool) -> Range:
 def points(space: Space, runs: int, seed: int) -> Array:
     """Return the runs of a study as points in the unit cube, shape (n, d).
 
-    Where every parameter has levels these are all combinations, else a Latin hypercube.
-
-    Args:
-        space: What is varied.
-        runs: Number of points of the hypercube.
-        seed: Of the hypercube.
+    These are all combinations if every parameter has levels, else a Latin hypercube.
     """
     shape = tuple(parameter.levels for parameter in space.values())
     if all(shape):
         combinations = np.indices(shape).reshape(len(shape), -1).T
         return np.asarray(combinations / np.maximum(1, np.array(shape) - 1))
     qmc = optional("scipy.stats.qmc", "Sampling a study")
-    # `seed` is the name that all supported versions of scipy know.
+    # All supported versions of SciPy accept the name `seed`.
     sampler = qmc.LatinHypercube(d=len(space), seed=np.random.default_rng(seed))
     return np.asarray(sampler.random(runs))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A sweep: the study of a scenario over ranges of its parameters, and what is asked of each run."""
+"""A sweep: the study of a scenario over ranges of its parameters, and the metrics of its runs."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ Measure = Callable[[Record, Scenario, Metrics], float]
 
 
 def outcome(record: Record, metrics: Metrics) -> str:
-    """Return what became of a run, one of `OUTCOMES`."""
+    """Return the outcome of a run, one of `OUTCOMES`."""
     if np.isnan(record.true_positions[-1]).any():
         return LOST
     return REACHED if metrics.goal_reached else MISSED
@@ -52,7 +52,7 @@ def friction_margin(record: Record, scenario: Scenario, metrics: Metrics) -> flo
     touching &= (record.times >= START_S)[:, None]
     beta = np.where(touching, required_friction(record.true_forces), np.nan)
     with warnings.catch_warnings(), np.errstate(divide="ignore", invalid="ignore"):
-        warnings.simplefilter("ignore", RuntimeWarning)  # where nothing touches at all
+        warnings.simplefilter("ignore", RuntimeWarning)  # without any contact
         minimum = float(np.nanmin(1.0 - beta / friction[:, None]))
     return minimum if math.isfinite(minimum) else math.nan
 
@@ -70,21 +70,17 @@ METRICS: Mapping[str, Measure] = {
     "least_friction_margin": friction_margin,
     "settling_time_s": _of("settling_time_s"),
 }
-"""The columns of a sweep: what is measured in each run."""
+"""The metric columns of a sweep."""
 
 
 @dataclass(frozen=True)
 class ScenarioRun:
-    """Makes the runs of a sweep: called with a point, it returns `METRICS` and outcome of that run.
-
-    Attributes:
-        base: The scenario, before anything is varied.
-    """
+    """Runs a point of a sweep on the scenario `base`; returns `METRICS` and outcome."""
 
     base: Scenario
 
     def __call__(self, point: Point) -> dict[str, Any]:
-        """Make a run."""
+        """Run a point."""
         scenario = self.scenario_of(point)
         take_law(scenario.manipulation_controller.law)  # named by the user of the sweep
         record = ClosedLoop(scenario).run()
@@ -93,11 +89,7 @@ class ScenarioRun:
         return {**numbers, "outcome": outcome(record, found)}
 
     def scenario_of(self, point: Point) -> Scenario:
-        """Return the scenario of a run.
-
-        Raises:
-            ConfigurationError: If a value is refused.
-        """
+        """Return the scenario of a run; raise ConfigurationError if a value is rejected."""
         return self.base.changed({"seed": point.seed, **point.values})
 
 
@@ -109,17 +101,12 @@ def make_sweep(
     runs: int = 100,
     seed: int = 0,
 ) -> Study:
-    """Return a sweep as a study, checked: both ends of every parameter are tried.
+    """Return a sweep as a study; check both ends of every parameter.
 
-    Args:
-        scenario: Name or file.
-        over: Parameters, see `parse_parameter`.
-        fixed: Values that stay the same, by path.
-        runs: Number of runs, where a parameter is a range without levels.
-        seed: Of everything random.
+    The arguments are those of `sweep.run`; `fixed` are its `changes`.
 
     Raises:
-        ConfigurationError: If a name, path, range or value cannot be used.
+        ConfigurationError: If a name, path, range or value is invalid.
     """
     base = load_scenario(scenario, fixed)
     if not over:

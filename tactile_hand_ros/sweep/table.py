@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Results of a study on disk: one row a run, kept as they come, in the end as CSV.
+"""Results of a study on disk: one row per run, appended as JSON lines and finally written as CSV.
 
-Rows are appended to a file of JSON lines, so that a study that is killed continues where it was.
-From it the table is made, the same bytes for any number of workers and any order of runs.
+A killed study continues after its last complete row. The CSV file has the same bytes for any
+number of workers and any order of runs.
 """
 
 from __future__ import annotations
@@ -36,13 +36,7 @@ Table = Mapping[str, NDArray[Any]]
 
 @dataclass
 class Tally:
-    """How far a study is.
-
-    Attributes:
-        total: Number of runs.
-        before: Runs that were done before it began.
-        outcomes: How often each outcome came since.
-    """
+    """The progress of a study; `before` counts the runs that were finished before it started."""
 
     total: int
     before: int = 0
@@ -54,20 +48,20 @@ class Tally:
         return self.before + self.outcomes.total()
 
     def __str__(self) -> str:
-        """Return how many are done, and what came of those that were made now."""
+        """Return the number of finished runs, and the outcomes of the new ones."""
         came = "".join(f", {count} {outcome}" for outcome, count in self.outcomes.items())
         return f"{self.done} of {counted(self.total, 'run')}{came}"
 
 
 def keep(study: Study, folder: Path, watch: Callable[[Tally], None] = lambda _: None) -> Tally:
-    """Make all runs that are not done yet and write the table of all that are.
+    """Execute all unfinished runs and write the table of all runs.
 
-    A row has number, outcome, reason of a failure and seed of its run, then its parameters,
-    those that are dataclasses field by field, then what the run returned.
+    A row contains number, outcome, reason of a failure and seed of its run, then its parameters,
+    dataclasses field by field, then the returned values.
 
     Args:
-        study: Its runs return a mapping of columns, `outcome` among them.
-        folder: Where results go; holds those of an earlier, unfinished call.
+        study: Its runs return a mapping of columns, including `outcome`.
+        folder: Output folder; may hold the results of an earlier, unfinished call.
         watch: Called after each run.
 
     Raises:
@@ -102,7 +96,7 @@ def _kept(study: Study, folder: Path, watch: Callable[[Tally], None]) -> Tally:
 
 
 def _begin(study: Study, folder: Path) -> set[int]:
-    """Create the folder, or continue the study in it; return the runs that are done."""
+    """Create the folder, or continue the study in it; return the finished runs."""
     file, rows = folder / DESCRIPTION, folder / ROWS
     content = {
         "version": tactile_hand_ros.__version__,
@@ -117,7 +111,7 @@ def _begin(study: Study, folder: Path) -> set[int]:
     folder.mkdir(parents=True, exist_ok=True)
     files.replace_text(file, text)
     kept = rows.read_text("utf-8") if rows.is_file() else ""
-    whole = kept[: kept.rfind("\n") + 1]  # a kill may have torn the last line
+    whole = kept[: kept.rfind("\n") + 1]  # a kill may have cut off the last line
     if whole != kept:
         files.replace_text(rows, whole)
     return {int(json.loads(line)[INDEX]) for line in whole.splitlines()}
@@ -155,7 +149,7 @@ def _rows(folder: Path) -> list[dict[str, Any]]:
 def read_table(folder: Path) -> dict[str, NDArray[Any]]:
     """Return all finished runs of a study by column, in the order of their numbers.
 
-    What is neither a number nor a text is a text in JSON.
+    Values other than numbers and strings are JSON strings.
 
     Raises:
         StudyError: If the folder holds no study.

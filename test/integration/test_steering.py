@@ -59,7 +59,7 @@ def test_every_pose_arrives_and_refusals_are_answered(
     said = capsys.readouterr().out
     assert "the target is (0, 0.0436, 0.4118) m, rotation (0, 0, -3) degrees" in said
     assert main(["move", "0.0", "-0.5", "0.4", *wait]) == 2
-    assert "the hand refuses: desired pose" in capsys.readouterr().err
+    assert "the hand rejects the command: desired pose" in capsys.readouterr().err
     assert main(["squeeze", "12", *wait]) == 0
     assert main(["squeeze", "1000", *wait]) == 2
     assert "is outside" in capsys.readouterr().err

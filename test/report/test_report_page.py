@@ -247,7 +247,7 @@ def test_a_real_hand_without_truth_and_scenario(page: Page, tmp_path: Path) -> N
     assert page.js("return report.scene.colours()") > 50
     assert page.js("return report.scene.solid") is None
     assert page.js("return report.scene.contacts[0].group.visible")
-    assert "No scenario is known" in page.driver.find_element(By.CSS_SELECTOR, ".notes").text
+    assert "The scenario is unknown" in page.driver.find_element(By.CSS_SELECTOR, ".notes").text
     assert_quiet(page)
 
 

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Helpers that tests share."""
+"""Helpers shared by tests."""

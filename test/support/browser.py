@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A real browser without a screen, and what it has to say about a page."""
+"""A headless browser, and the errors and requests of a page."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _FLAGS = (
     "--use-angle=swiftshader",  # WebGL without a graphics card
     "--enable-unsafe-swiftshader",
     "--disable-dev-shm-usage",
-    # Of itself the browser would talk to the servers of its maker.
+    # By default, the browser contacts its vendor's servers.
     "--disable-quic",
     "--no-first-run",
     "--disable-background-networking",
@@ -32,7 +32,7 @@ _FLAGS = (
     "--disable-sync",
 )
 
-# Plots take their width when the page has been laid out.
+# Plots take their width after the layout of the page.
 _FITTED = """return report.charts.every(
     ({plot, body}) => Math.abs(plot.width - body.clientWidth) <= 1)"""
 
@@ -59,11 +59,7 @@ def browser(profile: Path, *flags: str) -> Iterator[Page]:
 
 
 class Page:
-    """A browser that shows a page of ours, with ``window.report``.
-
-    Attributes:
-        driver: Selenium's driver.
-    """
+    """A browser that shows one of our pages, with ``window.report``."""
 
     def __init__(self, driver: Any) -> None:
         self.driver = driver
@@ -71,7 +67,7 @@ class Page:
         self._errors: list[str] = []
 
     def open(self, file: Path, *, dark: bool = False, size: tuple[int, int] = (1000, 700)) -> None:
-        """Open a file and wait until it has drawn itself; the logs begin anew."""
+        """Open a file and wait until it is drawn; clear the logs."""
         for name in ("browser", "performance"):
             self.driver.get_log(name)
         self._requests, self._errors = [], []
@@ -83,7 +79,7 @@ class Page:
         self.wait(lambda: self.js(_FITTED))
 
     def resize(self, size: tuple[int, int]) -> None:
-        """Give the window another size and wait until the plots have taken theirs."""
+        """Resize the window and wait until the plots have adapted."""
         self._shape(size)
         self.wait(lambda: self.js("return innerWidth") == size[0] and self.js(_FITTED))
 
@@ -105,14 +101,14 @@ class Page:
 
     @property
     def errors(self) -> list[str]:
-        """Errors that the page has written on the console since it was opened."""
+        """Errors on the console since the page was opened."""
         logged = self.driver.get_log("browser")
         self._errors += [entry["message"] for entry in logged if entry["level"] == "SEVERE"]
         return self._errors
 
     @property
     def requests(self) -> list[str]:
-        """Addresses that the page has asked for since it was opened."""
+        """Addresses that the page has requested since it was opened."""
         for entry in self.driver.get_log("performance"):
             event = json.loads(entry["message"])["message"]
             if event["method"] == "Network.requestWillBeSent":

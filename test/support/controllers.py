@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A controller to test with, and what it sees of the paper's grasp at rest."""
+"""A controller to test with, and its input for the paper's grasp at rest."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ TABLE_I = {"law.k_p": 3.0, "law.k_o": 0.5, "law.damping": 0.07, "reference_time"
 
 
 class Bench:
-    """A controller that sees the paper's grasp at rest; its contacts may move without the joints.
+    """A controller with the paper's grasp at rest; contacts may move without the joints.
 
-    Parameters by their dotted names, with two underscores for each dot.
+    Parameters are given by their dotted names, with two underscores for each dot.
     """
 
     def __init__(self, **values: Any) -> None:
@@ -66,7 +66,7 @@ class Bench:
         return moved(self.contacts, rotation, self.centroid - rotation @ self.centroid + shift)
 
     def stiffness(self, theta: Array) -> Array:
-        """Return that of the safe hold at ticks of 2 ms, shape (9, 9), N m/rad."""
+        """Return the stiffness of the safe hold at ticks of 2 ms, shape (9, 9), N m/rad."""
         return (0.5 / 0.007) ** 2 * self.controller.hand.dynamics(theta, REST)[1]
 
     @property
@@ -75,5 +75,5 @@ class Bench:
         return self.contacts.centroid
 
     def target(self, *shift: float, turn: tuple[float, ...] = (0.0, 0.0, 0.0)) -> Target:
-        """Return a pose away from the centroid, and turned from palm axes."""
+        """Return a pose away from the centroid, and rotated from the palm axes."""
         return Target(self.centroid + np.array(shift), rotation_from_vector(turn))

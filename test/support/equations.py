@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The paper's equations once more, written as they are printed: what tests compare with.
+"""The paper's equations as they are printed, for tests to compare with.
 
-Plain NumPy and nothing from the package; docs/reference/equations.md names the code that runs.
+Plain NumPy, without the package; docs/reference/equations.md names the code that runs.
 """
 
 from __future__ import annotations

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Slow, independent ways to solve what the core solves fast."""
+"""Slow, independent solvers for the problems that the core solves fast."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ Array = NDArray[np.float64]
 
 
 def best_forces(contacts: Contacts, weights: Array, minimum: float = 0.0) -> Array | None:
-    """Solve (13) by trying every set of active bounds; None where no forces balance.
+    """Solve (13) by trying every set of active bounds; None if no forces balance.
 
-    For each set the equality-constrained problem has a closed form; the feasible answer that costs
-    least is the optimum, since (13) is convex.
+    For each set the equality-constrained problem has a closed form. The feasible answer with the
+    lowest cost is the optimum, since (13) is convex.
     """
     k = len(contacts.positions)
     pushes = np.kron(np.eye(k), [0.0, 1.0, 0.0])  # picks each f_n
@@ -42,9 +42,9 @@ def best_forces(contacts: Contacts, weights: Array, minimum: float = 0.0) -> Arr
 def contact_law_violation(
     delassus: Array, free: Array, closing: Array, friction: Array, impulses: Array
 ) -> float:
-    """Return how much impulses break Signorini's and Coulomb's laws, 0 for not at all, relative.
+    """Return the relative violation of Signorini's and Coulomb's laws, 0 for none.
 
-    Written from the laws, not from any function whose root a solver looks for.
+    Written from the laws, not from any residual that a solver minimizes.
     """
     velocities = (delassus @ impulses.ravel() + free).reshape(-1, 3)
     normal, opening = impulses[:, 1], velocities[:, 1] + closing
@@ -64,11 +64,9 @@ def contact_law_violation(
 
 
 def nearest_point(corners: Array, point: Array) -> Array:
-    """Return the point of a convex hull nearest to a point, by Wolfe's min-norm algorithm (1976).
+    """Return the nearest point of a convex hull by Wolfe's min-norm algorithm (1976).
 
-    Args:
-        corners: Shape (v, 3).
-        point: Shape (3,), outside the hull.
+    `corners` has shape (v, 3); `point` has shape (3,) and lies outside the hull.
     """
     arms = corners - point
     used = [int(np.einsum("ij,ij->i", arms, arms).argmin())]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The five nodes as processes in a domain of their own, and a node that steers and watches them."""
+"""The five nodes as processes in their own ROS domain, and a node that steers and watches them."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ from tactile_hand_ros.ros.processes import end_together, wait_until
 from tactile_hand_ros.scenario.scenario import NODES, Scenario
 
 PATIENCE = 120.0
-"""Longest wait for anything [s]: a deadline against hangs; the first start may compile code."""
+"""Longest wait for anything [s]; long, because the first start may compile code."""
 
 
 PER_FINGER = (names.wrench, names.load, names.optimal_force, names.true_wrench)
@@ -54,7 +54,7 @@ TICK_TOPICS = [
     names.CLOCK,
     *(name(f"finger_{i}") for name in PER_FINGER for i in (1, 2, 3)),
 ]
-"""What carries a tick of a hand with three fingers."""
+"""Topics of the tick of a hand with three fingers."""
 
 
 def parameter_files(scenario: Scenario, folder: Path, nodes: Iterable[str] = NODES) -> list[str]:
@@ -76,7 +76,7 @@ class Health(NamedTuple):
 
 
 class Graph:
-    """The five nodes of one scenario, started together, none of which outlives the block."""
+    """The five nodes of one scenario, started together and stopped when the context exits."""
 
     def __init__(
         self,
@@ -87,7 +87,7 @@ class Graph:
         *,
         composed: bool = False,
     ) -> None:
-        """Prepare; entering the block starts a process for each node, or one for all."""
+        """Prepare; entering the context starts a process for each node, or one for all."""
         self.scenario = scenario
         self.namespace = namespace
         self.fingers = load_hand_config(scenario.hand).finger_names
@@ -100,7 +100,7 @@ class Graph:
         self._clients: dict[str, Any] = {}
 
     def __enter__(self) -> Graph:
-        """Start everything and wait until all have found each other."""
+        """Start everything and wait until all have matched each other."""
         try:
             if self._composed:
                 self._launch("composed", NODES)
@@ -119,12 +119,12 @@ class Graph:
         return self
 
     def __exit__(self, *_: object) -> None:
-        """End all processes, at the same time."""
+        """Stop all processes at the same time."""
         end_together(list(self.processes.values()))
         self._stack.close()
 
     def start(self, name: str) -> CapturedProcess:
-        """Start a node, or start it again, with the parameters of the scenario."""
+        """Start or restart a node with the parameters of the scenario."""
         return self._launch(name, [name])
 
     def _launch(self, executable: str, nodes: Iterable[str], *words: str) -> CapturedProcess:
@@ -138,7 +138,7 @@ class Graph:
         return process
 
     def kill(self, name: str) -> None:
-        """End a node as a crash would."""
+        """Kill a node, as in a crash."""
         self.processes[name].send(signal.SIGKILL)
         self.processes[name].wait()
         self.health.pop(self.full(name), None)
@@ -161,7 +161,7 @@ class Graph:
             self._watch(WrenchStamped, names.true_wrench(name))
 
     def _watch(self, kind: Any, topic: str) -> None:
-        """Keep the newest message; raw, so that watching costs the graph next to nothing."""
+        """Keep the newest message; raw, so that watching costs almost nothing."""
         self._types[topic] = kind
 
         def keep(data: bytes) -> None:
@@ -175,13 +175,13 @@ class Graph:
             self.health[status.name] = Health(status.level, status.message, values)
 
     def wait_until_matched(self) -> None:
-        """Wait until every node of the graph, and this one, is connected with all its peers."""
+        """Wait until every node of the graph, and this one, has matched all its peers."""
         self.wait_for_readers()
         heard = [self.full(name) for name in NODES]
         self.wait(lambda: all(all(self._ends(n, SUBSCRIPTIONS).values()) for n in heard), "writers")
 
     def wait_for_readers(self) -> None:
-        """Wait until every topic of this hand has met all who say that they read it."""
+        """Wait until every topic of this hand has matched all its subscribers."""
         self.wait(self._has_readers, "all readers")
 
     def _has_readers(self) -> bool:
@@ -191,24 +191,24 @@ class Graph:
         return bool(found) and all(count == wanted[topic] for topic, count in found.items())
 
     def published(self) -> dict[str, int]:
-        """Return how many readers each topic of this hand has; none until all nodes have told."""
+        """Return the number of subscribers of each topic; empty until all nodes have reported."""
         ends = [self._ends(self.full(name), PUBLICATIONS) for name in NODES]
         shared = (names.DIAGNOSTICS, *names.OF_ALL_NODES)
         told = {topic: n for each in ends for topic, n in each.items() if topic not in shared}
         return told if all(ends) else {}
 
     def _ends(self, name: str, end: str) -> dict[str, int]:
-        """Return how many peers a node has met on each of its topics."""
+        """Return the number of matched peers of a node by topic."""
         health = self.health.get(name)
         counts = health.values if health else {}
         return {k.split()[1]: int(v) for k, v in counts.items() if k.startswith(f"{end} ")}
 
     def hears(self, name: str, topic: str) -> bool:
-        """Return whether a node knows of a publisher of what it listens to."""
+        """Return whether a node's subscription has matched a publisher."""
         return self._ends(self.full(name), SUBSCRIPTIONS).get(self.full(topic), 0) >= 1
 
     def wait(self, condition: Callable[[], Any], what: str) -> Any:
-        """Wait for a condition; all processes must be alive meanwhile unless they were killed."""
+        """Wait for a condition; all processes that were not killed must stay alive."""
 
         def holds() -> Any:
             for name, process in self.processes.items():
@@ -264,7 +264,7 @@ class Graph:
         return future.result()
 
     def run(self, on: bool = True) -> None:
-        """Let the plant run, or pause it."""
+        """Let the plant run or pause."""
         assert self.call(SetBool, "plant/run", SetBool.Request(data=on)).success
 
     def desire(self, position: Any, *, frame: str = "palm", stamp: int = 0) -> None:
@@ -272,7 +272,7 @@ class Graph:
         self.poses.publish(pose_message(position, np.eye(3), stamp, frame=frame))
 
     def begin(self, *positions: Any) -> None:
-        """Begin anew at stamp 0, with desired poses that are known before the first tick."""
+        """Restart at timestamp 0, with desired poses that arrive before the first tick."""
         self.run(False)
         assert self.call(Trigger, "plant/reset", Trigger.Request()).success
         self.wait(lambda: self.says("plant", "mode", "paused"), "the plant at its start")
@@ -282,17 +282,17 @@ class Graph:
         self.run()
 
     def finish(self) -> Health:
-        """Wait for the end of the run and return what the plant says then."""
+        """Wait for the end of the run and return the plant's diagnostics."""
         self.wait(lambda: self.says("plant", "mode", "finished"), "the end of the run")
         return self.health[self.full("plant")]
 
     def says(self, name: str, key: str, value: str) -> bool:
-        """Return whether the last diagnostics of a node have a value."""
+        """Return whether the last diagnostics of a node contain a value."""
         health = self.health.get(self.full(name))
         return health is not None and health.values.get(key) == value
 
     def rejected(self, name: str, topic: str) -> int:
-        """Return how many messages on a topic a node says it has rejected."""
+        """Return how many messages on a topic a node reports as rejected."""
         health = self.health.get(self.full(name))
         return int(health.values.get(f"rejected {topic}", 0)) if health else 0
 

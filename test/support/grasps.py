@@ -62,7 +62,7 @@ normals = vectors.filter(lambda v: np.linalg.norm(v) > 0.1).map(lambda v: v / np
 
 @st.composite
 def point_sets(draw: st.DrawFn, minimum: int = 3, maximum: int = 5, margin: float = 0.1) -> Array:
-    """Draw contact points in a palm of some decimetres that are far from lying on a line."""
+    """Draw contact points in a palm of some decimeters, far from collinear."""
     k = draw(st.integers(minimum, maximum))
     points = hnp.arrays(float, (k, 3), elements=st.floats(-0.2, 0.2))
     return draw(points.filter(lambda p: collinearity_margin(p) > margin and np.ptp(p) > 0.05))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Hands of any size, written as URDF and YAML, and objects that fit them."""
+"""Hands of any size as URDF and YAML, and objects that fit them."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ from tactile_hand_ros.hand.hand import Hand
 Array = NDArray[np.float64]
 
 _BENT = (1.0, 0.0, 1.2, 0.6, 0.1, 0.1)  # angles of a finger's joints that bend it inwards, rad
-LINK = 0.3  # half the length of all links of a finger together, m
-_NEAR = 1e-4  # how exactly a fingertip must reach its place, m
+LINK = 0.3  # half the total length of a finger's links, m
+_NEAR = 1e-4  # tolerance of a fingertip's position, m
 
 
 class HandSizeError(TactileHandError):
-    """A hand whose fingers do not reach what they are to hold."""
+    """A hand whose fingers do not reach the object."""
 
 
 def _link(name: str, length: float) -> str:
@@ -75,12 +75,12 @@ def _finger(name: str, joints: int, bearing: float, radius: float) -> str:
 def write_hand(
     folder: Path, joints: Sequence[int], bearings: Sequence[float] = (), radius: float = LINK
 ) -> Path:
-    """Write a hand with the given number of joints of each finger; return its YAML file.
+    """Write a hand and return its YAML file.
 
     Args:
-        folder: Where to write.
+        folder: Output folder.
         joints: Number of joints of each finger, 2 to 6.
-        bearings: Directions in which the fingers stand, rad; evenly spread by default.
+        bearings: Directions of the fingers, rad; evenly spread by default.
         radius: Distance of the fingers' bases from the palm's z axis, m.
     """
     k = len(joints)
@@ -99,7 +99,7 @@ def write_hand(
 
 
 def posture_for(hand: Hand, tips: Array) -> Array:
-    """Return joint angles that bring the tips of a `write_hand` hand to places, shape (k, 3), m.
+    """Return joint angles that bring the tips of a `write_hand` hand to `tips`, shape (k, 3), m.
 
     Raises:
         HandSizeError: If they do not reach.
@@ -120,12 +120,9 @@ def posture_for(hand: Hand, tips: Array) -> Array:
 
 
 def prism_grasp(folder: Path, joints: Sequence[int], height: float = 0.4) -> dict[str, Any]:
-    """Return a scenario's values: every finger touches its own side of an upright prism.
+    """Return a scenario whose fingers touch one side each of an upright prism.
 
-    Args:
-        folder: Where to write the hand.
-        joints: Number of joints of each finger.
-        height: Height of the object over the palm, m.
+    `joints` is the number of joints of each finger, `height` that of the object over the palm, m.
     """
     path, k, apothem = write_hand(folder, joints), len(joints), 0.1
     bearings = 2.0 * np.pi * np.arange(k) / k

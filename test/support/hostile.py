@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is attacked with hostile bytes: readers of messages; and how often."""
+"""The message readers that tests attack with hostile bytes, and the number of attempts."""
 
 from __future__ import annotations
 
@@ -25,18 +25,18 @@ _SHORT = settings(derandomize=True, database=None, max_examples=50)
 
 
 def hostile(examples: int = 50) -> settings:
-    """Return how often inputs are tried; `--hypothesis-profile fuzz` tries many random ones."""
+    """Return how many inputs are tried; `--hypothesis-profile fuzz` tries many random ones."""
     is_short = settings.default.max_examples <= 100
     base = settings(_SHORT, max_examples=examples) if is_short else settings.default
     return settings(base, deadline=None, suppress_health_check=_CHECKS)
 
 
 class Reader(NamedTuple):
-    """What reads the bytes of a message.
+    """A reader of the bytes of a message.
 
     Attributes:
-        decode: Returns stamp, ns, and content; raises `MessageError` to refuse them.
-        good: Bytes that it reads.
+        decode: Returns timestamp, ns, and content; raises `MessageError` to reject the bytes.
+        good: Valid bytes.
     """
 
     decode: Callable[[bytes], tuple[int, Any]]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is late in real time, in the closed loop: answers, and commands."""
+"""Late answers and commands in the closed loop, as in real time."""
 
 from collections import deque
 
@@ -10,13 +10,13 @@ from tactile_hand_ros.closed_loop.loop import ClosedLoop
 from tactile_hand_ros.control.slip.regulator import SlipRegulator
 from tactile_hand_ros.scenario.scenario import load_scenario
 
-LATE, EVERY = 3, 3  # ticks that an answer takes; of so many ticks one is answered
-# Until the worst of the load has come.
+LATE, EVERY = 3, 3  # delay of an answer in ticks; one of so many ticks is answered
+# Until the highest load.
 SECONDS = {"pull": 2.3, "gravity": 1.8, "slippery": 3.3, "heavy": 2.6}
 
 
 class LateRegulator(SlipRegulator):
-    """Feels every tick, answers some of them, and its answers arrive late."""
+    """Processes every tick, answers some of them, and answers late."""
 
     def __init__(self, config, fingers):
         super().__init__(config, fingers)
@@ -37,16 +37,11 @@ def run_late(name):
     return record.true_positions[-1], record.true_slid[-1], record.grasp_force.max()
 
 
-JITTER = (1, 3)  # ticks, the least and the most that a command is late
+JITTER = (1, 3)  # ticks, minimum and maximum delay of a command
 
 
 def run_with_late_commands(name, changes, seed=None):
-    """Run a scenario at 500 Hz whose commands are late by a number of ticks drawn at random.
-
-    Args:
-        name: The scenario.
-        changes: Values to change.
-        seed: Of the delays; without it no command is late.
+    """Run a scenario at 500 Hz with randomly delayed commands; without `seed`, none is late.
 
     Returns:
         Whether the object is held at the end, mean k_f of the last half second, the largest slip.
@@ -55,7 +50,7 @@ def run_with_late_commands(name, changes, seed=None):
     guarded = GuardedLoop(scenario)
     random, forces = np.random.default_rng(seed), []
     for tick in range(scenario.ticks):
-        is_late = seed is not None and tick >= JITTER[1]  # time begins with the first command
+        is_late = seed is not None and tick >= JITTER[1]  # time starts with the first command
         guarded.tick(delay=int(random.integers(*JITTER, endpoint=True)) if is_late else 0)
         forces.append(guarded.loop.regulator.grasp_force)
     state = guarded.loop.state

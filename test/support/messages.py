@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Messages as any ROS program builds them, field by field, apart from the package's codecs."""
+"""Messages built field by field with ROS, independent of the package's codecs."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from tactile_hand_ros.rotations import quaternion_from_rotation
 
 
 def header(stamp_ns: int, frame: str = PALM_FRAME) -> Header:
-    """Return a header with a stamp [ns] and a frame."""
+    """Return a header with a timestamp [ns] and a frame."""
     seconds, nanoseconds = divmod(stamp_ns, 10**9)
     return Header(stamp=Time(sec=seconds, nanosec=nanoseconds), frame_id=frame)
 
@@ -59,7 +59,7 @@ def joint_message(names: list[str], stamp_ns: int, **fields: ArrayLike) -> Joint
 
 
 def encoded(run: Record) -> dict[str, list[bytes]]:
-    """Return the bytes of every topic of the ticks for a run in-process."""
+    """Return the bytes of every topic of the ticks of an in-process run."""
     found: dict[str, list[bytes]] = {}
     messages = TickMessages(run)
     for row in range(len(run)):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Nodes in the process of the test, and somebody who sends and receives as a user would."""
+"""Nodes in the process of the test, and a user that sends and receives."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from tactile_hand_ros.ros.processes import wait_until
 
 
 class Process:
-    """A context of its own, with nodes that run while the test waits for something."""
+    """A context with nodes that run while the test waits."""
 
     def __init__(self, context: Any) -> None:
         self.context = context
@@ -37,13 +37,13 @@ class Process:
             self._executor.add_node(node)
 
     def make(self, kind: Callable[..., Any], *, composed: bool = True, **parameters: Any) -> Any:
-        """Make and serve a node of a chain with these parameters, by default without inputs."""
+        """Create and serve a node of a chain with parameters, by default without inputs."""
         overrides = [Parameter(name, value=value) for name, value in parameters.items()]
         self.add(kind(composed=composed, context=self.context, parameter_overrides=overrides))
         return self._nodes[-1]
 
     def wait(self, condition: Callable[[], Any], message: str = "") -> Any:
-        """Let the nodes work until a condition holds."""
+        """Run the nodes until a condition holds."""
 
         def served() -> Any:
             self._executor.spin_once(0.0)
@@ -52,7 +52,7 @@ class Process:
         return wait_until(served, 60.0, message)
 
     def receive(self, kind: Any, topic: str, profile: Any = None) -> list[Any]:
-        """Subscribe and return the list in which messages will be found, see `messages`."""
+        """Subscribe and return the list that will hold the messages, see `messages`."""
         subscription = subscribe_directly(self.user, kind, topic, profile or qos.user_qos())
         found: list[Any] = []
         self._received[topic] = subscription, found
@@ -60,7 +60,7 @@ class Process:
         return found
 
     def messages(self, topic: str, count: int) -> list[Any]:
-        """Wait for a number of messages of a topic and return all that have come."""
+        """Wait for a number of messages of a topic and return all received ones."""
         subscription, found = self._received[topic]
 
         def enough() -> bool:
@@ -72,7 +72,7 @@ class Process:
         return found
 
     def send(self, topic: str, message: Any, profile: Any = None) -> None:
-        """Publish a message to those who subscribe."""
+        """Publish a message once there are subscribers."""
         publisher = self.user.create_publisher(type(message), topic, profile or qos.user_qos())
         self.wait(lambda: publisher.get_subscription_count() > 0, topic)
         publisher.publish(message)
@@ -96,7 +96,7 @@ class Process:
 
 @contextmanager
 def process() -> Iterator[Process]:
-    """Provide a process in a ROS domain of its own."""
+    """Provide a process in its own ROS domain."""
     with isolated_domain() as domain, ros_context(domain=domain) as context:
         made = Process(context)
         try:
@@ -106,7 +106,7 @@ def process() -> Iterator[Process]:
 
 
 def tapped(node: Any) -> dict[str, list[bytes]]:
-    """Return the lists that get what a node publishes at each tick, by relative topic."""
+    """Return the lists that collect a node's messages at each tick, by relative topic."""
     sent: dict[str, list[bytes]] = {}
     for publisher in node.tick_publishers:
         publisher.add_tap(sent.setdefault(publisher.topic.lstrip("/"), []).append)
@@ -114,13 +114,13 @@ def tapped(node: Any) -> dict[str, list[bytes]]:
 
 
 def facts(node: Any) -> dict[str, str]:
-    """Return what a node reports in its diagnostics."""
+    """Return the diagnostics of a node."""
     node.on_report()
     return {pair.key: pair.value for pair in node.diagnostics.status().values}
 
 
 def counts(node: Any, kind: str) -> dict[str, int]:
-    """Return how many errors, or rejected messages, a node reports of each source."""
+    """Return a node's number of errors, or of rejected messages, by source."""
     start = f"{kind} "
     told = facts(node).items()
     return {key.removeprefix(start): int(n) for key, n in told if key.startswith(start)}

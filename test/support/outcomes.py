@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Run scenarios in-process, in processes that can import this."""
+"""Run scenarios in-process, in worker processes that can import this module."""
 
 from dataclasses import dataclass
 
@@ -10,7 +10,7 @@ from tactile_hand_ros.closed_loop.loop import ClosedLoop
 from tactile_hand_ros.closed_loop.record import Record
 from tactile_hand_ros.scenario.scenario import Scenario, load_scenario
 
-_STEP = 0.05  # s between instants that are looked at, besides those at which a load begins
+_STEP = 0.05  # s between checked instants, besides the starts of loads
 
 
 def run_scenario(name: str, changes: dict) -> Record:
@@ -23,8 +23,8 @@ class Survival:
     """Whether the object can be held at all.
 
     Attributes:
-        worst: Largest grasp force that was ever needed, the minimum sum of normal forces, N.
-        time: When, s.
+        worst: Largest required grasp force, the minimum sum of normal forces, N.
+        time: Its time, s.
         limit: The crush limit, N.
     """
 
@@ -41,12 +41,8 @@ class Survival:
 def survival(record: Record, scenario: Scenario) -> Survival:
     """Return the worst instant of a run: true load and friction, and the contacts of the grasp.
 
-    Where a contact is lost, the last grasp with all of them counts: whether it had to be lost is
-    the question.
-
-    Args:
-        record: The run, of which only the true contacts and the object's pose count.
-        scenario: What was run.
+    After a lost contact, the last complete grasp counts, because the question is whether it had to
+    be lost. Only the true contacts and the object's pose of `record` are used.
     """
     whole = np.isfinite(record.true_positions[:, :, 0]).all(axis=1)
     grasps = np.maximum.accumulate(np.where(whole, np.arange(len(record)), 0))
@@ -56,7 +52,7 @@ def survival(record: Record, scenario: Scenario) -> Survival:
     worst, when = 0.0, 0.0
     for time in times[times <= scenario.duration]:
         row = min(int(np.searchsorted(record.times, time)), len(record) - 1)
-        # Of an event at once, the grasp that it finds.
+        # For a sudden event, the grasp before it.
         least = minimum_at(record, scenario, float(time), int(grasps[max(row - 1, 0)]))
         if least > worst:
             worst, when = least, float(time)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Plants to test with, and the torques that make contact forces."""
+"""Plants to test with, and torques that produce given contact forces."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ Array = NDArray[np.float64]
 
 
 def plant(step: float = 0.001, **values: Any) -> Plant:
-    """Return a plant with one step a tick; values by dotted name, as in a YAML file."""
+    """Return a plant with one step per tick; values by dotted name, as in a YAML file."""
     changes = {"time_step": step, "rate": 1.0 / step, **values}
     changes = {name.replace("__", "."): value for name, value in changes.items()}
     return Plant(PlantConfig().changed(changes))
 
 
 def jacobian(plant: Plant, state: PlantState) -> Array:
-    """Return J_h at a state, shape (3k, m); tips that do not touch count at their centers."""
+    """Return J_h at a state, shape (3k, m); for tips without contact, of their centers."""
     tips = plant.hand.fingertips(state.theta)
     points = np.where(np.isfinite(state.contacts.positions), state.contacts.positions, 0.0)
     points = np.where(state.contacts.touching[:, None], points, tips.positions)
@@ -31,7 +31,7 @@ def jacobian(plant: Plant, state: PlantState) -> Array:
 
 
 def torque_for(plant: Plant, forces: Array, damping: float = 0.0) -> Array:
-    """Return the torques whose fingertips push with forces, shape (k, 3), palm axes, at rest."""
+    """Return the torques for fingertip forces, shape (k, 3), palm axes, at rest."""
     state = plant.state
     weight = plant.hand.gravity_torque(state.theta)
     return jacobian(plant, state).T @ np.ravel(forces) + weight - damping * state.rates

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Bags as a recorder would write them, from the arrays of a record."""
+"""Bags as from a recorder, written from the arrays of a record."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ ON_TOPICS = (
     *("true_positions", "true_quaternions", "true_forces"),
     *("true_sliding", "true_slid", "friction", "slip_evidence", "grip"),
 )
-"""Arrays of a record, all of which a bag can tell."""
+"""Arrays of a record that a bag contains."""
 LATENCY = 1_000_000  # from a tick to its command, ns
 
 
@@ -78,7 +78,7 @@ def joints(stamp: int, names: list[str], **values: Any) -> Any:
 
 
 class RunWriter:
-    """Writes messages by topic, whatever their order; the topic's first message gives its type."""
+    """Writes messages by topic in any order; the topic's first message gives its type."""
 
     def __init__(self, folder: Path, custom_data: dict[str, str] | None = None) -> None:
         self.bag = BagWriter(folder, custom_data=custom_data or {})
@@ -99,7 +99,7 @@ class RunWriter:
 
 
 def parameter_event(stamp: int, node: str, values: dict[str, Any]) -> Any:
-    """Return the message with which a node publishes the configuration in force."""
+    """Return the message by which a node publishes its configuration."""
     defaults: dict[str, Any] = {"type": 0, "bool_value": False, "integer_value": 0}
     defaults |= {"double_value": 0.0, "string_value": "", "string_array_value": []}
     for kind, dtype in (("byte", "u1"), ("bool", "?"), ("integer", "i8"), ("double", "f8")):
@@ -122,7 +122,7 @@ def parameter_event(stamp: int, node: str, values: dict[str, Any]) -> Any:
 
 
 def _parameter_value(value: Any) -> tuple[int, str, Any]:
-    """Return the type of a parameter, the field of its value and what goes into it."""
+    """Return the type of a parameter, the field of its value and its content."""
     if isinstance(value, list | tuple):
         return 8, "double_array_value", np.array(value, dtype=np.float64)
     kinds = {bool: (1, "bool_value"), int: (2, "integer_value"), float: (3, "double_value")}
@@ -130,7 +130,7 @@ def _parameter_value(value: Any) -> tuple[int, str, Any]:
 
 
 def request_message(stamp: int, node: str, service: str, value: str = "") -> Any:
-    """Return the message with which a node publishes that a service call took effect."""
+    """Return the message by which a node reports that a service call took effect."""
     pair = message("diagnostic_msgs/msg/KeyValue", key=service, value=value)
     status = message(
         "diagnostic_msgs/msg/DiagnosticStatus",
@@ -144,7 +144,7 @@ def request_message(stamp: int, node: str, service: str, value: str = "") -> Any
 
 
 def write_run(bag: RunWriter, scenario: Scenario, record: Record) -> None:
-    """Write the poses that a scenario commands as accepted ones, and all ticks of its run."""
+    """Write a scenario's commanded poses as accepted ones, and all ticks of its run."""
     for command in scenario.targets:
         target = command.target()
         pose = pose_stamped(command.stamp, target.position, target.quaternion)
@@ -154,7 +154,7 @@ def write_run(bag: RunWriter, scenario: Scenario, record: Record) -> None:
 
 
 def write_tick(bag: RunWriter, record: Record, row: int, at: int, prefix: str = "/") -> None:
-    """Write everything of one tick, the command later than the rest."""
+    """Write all messages of one tick, the command later than the others."""
     r, stamp, names = record, int(record.stamps[row]), record.joint_names
     truth = bool(np.isfinite(r.true_forces[row]).any())
 
@@ -227,7 +227,7 @@ def random_record(ticks: int = 20, seed: int = 1, truth: bool = True) -> Record:
 
 
 def assert_same(actual: Record, expected: Record) -> None:
-    """Insist that two records are equal to the last bit, NaN where the other has NaN."""
+    """Assert that two records are bit-identical, including NaN."""
     for field in fields(Record):
         one, other = getattr(actual, field.name), getattr(expected, field.name)
         if field.metadata:

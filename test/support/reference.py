@@ -1,16 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A second, independent way to compute the paper's motion: (2) to (6) as an ODE.
+"""A second, independent computation of the paper's motion: (2) to (6) as an ODE.
 
-Nothing of the plant is used, so that a mistake in its contact Jacobian or grasp map shows as a
-difference and is not made twice. All contacts stick on faces of the object, so that (6) holds for
-all time; its derivative, with the contact point moving on both bodies, closes the system:
+It shares no code with the plant, so a bug in the plant's contact Jacobian or grasp map shows as a
+difference. All contacts stick on faces of the object, so that (6) always holds; its derivative,
+with the contact point moving on both bodies, closes the system:
 
     p_c = p_f - r n,  rho = p_c - p_f = -r n,  n fixed in the object:  rho' = w_o x rho
     0 = d/dt [ v_f + w_f x rho - v_o - w_o x (p_c - p_o) ]
       = a_f + al_f x rho + w_f x rho' - a_o - al_o x (p_c - p_o) - w_o x (v_f + rho' - v_o)
 
-The constraint is not stabilised: the tolerance of the Dormand-Prince 8(5,3) method keeps its drift
-at the level of rounding, and the tests check that.
+The constraint is not stabilized: the tolerance of the Dormand-Prince 8(5,3) method keeps its drift
+at the level of rounding errors, which the tests check.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class World:
-    """What the reference needs to know of hand and object.
+    """The reference's model of hand and object.
 
     Attributes:
         urdf: Text of the hand's URDF.
@@ -115,11 +115,7 @@ class Reference:
         return y_dot, solution[n:].reshape(k, 3)
 
     def _contact_rows(self, s: State, rotation: Array) -> tuple[Array, Array, Array]:
-        """Return what the contacts say of the hand's and the object's accelerations.
-
-        Args:
-            s: Joints and object.
-            rotation: Orientation of the object, shape (3, 3).
+        """Return the contact constraint on the accelerations at an object `rotation`, shape (3, 3).
 
         Returns:
             Factors of the joint accelerations, shape (3k, m), of the object's, shape (3k, 6), and
@@ -172,8 +168,8 @@ class Reference:
     ) -> tuple[Array, Array]:
         """Integrate over `times` and return states (len(times), n) and forces at them.
 
-        With `hold`, the torque is computed at each of `times` and kept until the next one, as a
-        sampled controller does; without, it is part of the differential equation, as in the paper.
+        With `hold`, the torque is computed at each of `times` and kept until the next one, as in a
+        sampled controller; without, it is part of the differential equation, as in the paper.
         """
         external = np.zeros(6) if wrench is None else wrench
         y, states, forces = start.pack(), [], []

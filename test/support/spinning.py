@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Nodes that are served beside the test."""
+"""Nodes that are served in parallel with the test."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from tactile_hand_ros.ros.executor import WaitSetExecutor
 
 @contextlib.contextmanager
 def spinning(*nodes: Node) -> Iterator[None]:
-    """Serve nodes in a thread that is joined at the end; its exception is raised here."""
+    """Serve nodes in a thread that is joined at the end; raise its exceptions here."""
     executor = WaitSetExecutor(context=nodes[0].context)
     for node in nodes:
         executor.add_node(node)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Runs that studies of the tests make, importable by their workers."""
+"""Runs of studies in tests, importable by their workers."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from tactile_hand_ros.sweep.engine import Point
 
 
 def product(point: Point) -> dict[str, Any]:
-    """Return x times y, the seed's last bit as the outcome; refuse where x is above 0.9."""
+    """Return x times y, with the seed's last bit as the outcome; fail if x is above 0.9."""
     x, y = point.values["x"], point.values["y"]
     if x > 0.9:
         raise DivergedError(f"x is {x:.3f}")
@@ -27,5 +27,5 @@ def deadly(point: Point) -> dict[str, Any]:
 
 
 def broken(point: Point) -> dict[str, Any]:
-    """Fail with a defect."""
+    """Fail with a bug."""
     return {"xy_m": [][point.index], "outcome": "reached"}

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The layers keep apart: control knows no ROS and no simulation, recordings need no rclpy."""
+"""The layers are separate: control has no ROS and no simulation, recordings need no rclpy."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ TIERS = (
     ("cli",),
 )
 TIER = {name: tier for tier, names in enumerate(TIERS) for name in names}
-# What a real hand runs: joints and touch in, torques out. No simulation, no ROS, no clock.
+# The code of a real hand: joints and touch in, torques out. No simulation, no ROS, no clock.
 BLIND = {"hand", "control"}
 PLAIN = BLIND | {"rotations", "cholesky", "errors", "names", "config", "simulation", "closed_loop"}
 BLIND_NODES = ("slip_regulator", "force_optimizer", "manipulation_controller")
@@ -76,7 +76,7 @@ MODULES = {module_name(path) for path in SOURCES}
 
 
 def modules_used(path: Path) -> set[str]:
-    """Return what a file imports, without the folder where it takes a module out of one."""
+    """Return the imports of a file; of a module taken from a folder, the module only."""
     found = imports(path)
     taken = {name.rpartition(".")[0] for name in found & MODULES}
     names = {name.rpartition(".")[0] for name in found - MODULES}
@@ -84,7 +84,7 @@ def modules_used(path: Path) -> set[str]:
 
 
 GRAPH = {module_name(path): modules_used(path) for path in SOURCES}
-GRAPH[PACKAGE] = set()  # the front door loads what it names on first use only
+GRAPH[PACKAGE] = set()  # the front door loads its names on first use only
 
 
 def reachable(start: str) -> set[str]:
@@ -126,7 +126,7 @@ def test_plain_code_knows_neither_ros_nor_a_clock() -> None:
 
 
 def test_recordings_are_read_without_rclpy() -> None:
-    """Bags are analysed on machines without ROS."""
+    """Bags are analyzed on machines without ROS."""
     for name in GRAPH:
         if layer(name) in {"bag", "run", "verify", "report"}:
             loaded = {used for module in reachable(name) for used in GRAPH[module]}

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Whole topics at once give what a general decoder gives message by message."""
+"""Decoding a whole topic at once equals a general decoder message by message."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def cdr(content: Any, little: bool = True) -> bytes:
     st.booleans(),
 )
 def test_wrenches(given: list[tuple[int, str, list[float]]], little: bool) -> None:
-    """Whatever the frames' names: their lengths move the numbers."""
+    """With any frame names: their lengths shift the numbers."""
     messages = [cdr(recorded.wrench(stamp, force, frame), little) for stamp, frame, force in given]
     seen = 0
     for table in tables(WRENCH, messages):

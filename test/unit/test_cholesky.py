@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Cholesky: inertias of fingers apart and of joints together, and singular matrices."""
+"""Cholesky: separate inertias of fingers, joint inertias, and singular matrices."""
 
 import numpy as np
 import pytest
@@ -20,7 +20,7 @@ def test_it_solves_for_every_column(fingers):
     right = random.standard_normal((m, m + 2))
     expected = np.linalg.solve(inertia, right)
     found = right.copy()
-    factor, regular = factorize(np.triu(inertia))  # nothing below the diagonal is looked at
+    factor, regular = factorize(np.triu(inertia))  # only the upper triangle is used
     substitute(factor, found)
     assert regular
     np.testing.assert_allclose(factor.T @ factor, inertia, atol=1e-13 * np.abs(inertia).max())

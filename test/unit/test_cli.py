@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The command line: what is printed, what is refused, and with which exit code."""
+"""The command line: output, rejected input, and exit codes."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def run(tmp_path: Path) -> Path:
 
 
 def refused(capsys: pytest.CaptureFixture[str], *arguments: str | Path) -> str:
-    """Run a command that must be refused and return its one sentence."""
+    """Run a command that must be rejected and return its error sentence."""
     assert main([str(a) for a in arguments]) == 2
     printed = capsys.readouterr()
     lines = printed.err.splitlines()
@@ -44,7 +44,7 @@ def refused(capsys: pytest.CaptureFixture[str], *arguments: str | Path) -> str:
 
 @pytest.mark.parametrize("words", [["--help"], ["run", "--help"]])
 def test_help_loads_nothing_heavy(words: list[str]) -> None:
-    """Help must be there at once."""
+    """Help must appear immediately."""
     loading = f"import sys, tactile_hand_ros.cli as c; c.main({words});"
     code = f"{loading} print(*sys.modules, file=sys.stderr)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
@@ -93,13 +93,13 @@ def test_a_summary_of_a_hand_that_is_elsewhere_lacks_its_assumptions(
     (run / "scenario.yaml").write_text(text.replace("hand: paper", "hand: ~nobody-here/hand.yaml"))
     assert main(["summary", str(run)]) == 0
     printed = capsys.readouterr()
-    said = "note: The assumptions are left out, because the hand is not known here: hand file '~no"
+    said = "note: The assumptions are omitted because the hand cannot be loaded: hand file '~no"
     assert printed.err.startswith(said) and printed.err.count("\n") == 1
     assert "20 ticks" in printed.out and "held" not in printed.out
 
 
 def test_recover(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """The refusal names the command, which makes a bag that opens."""
+    """The error names a command that creates a readable bag."""
     file = run / "bag" / "bag_0.mcap"
     assert main(["recover", str(run), "--out", str(run / "copy")]) == 0
     assert capsys.readouterr().out.endswith("nothing is lost\n")
@@ -126,7 +126,7 @@ def test_wrong_usage(capsys: pytest.CaptureFixture[str]) -> None:
     assert "Did you mean 'run'" in refused(capsys, "rum")
     assert "--pacing" in refused(capsys, "run", "--pacin", "realtime")
     assert "'tactile-hand run --help'" in refused(capsys, "run", "paper", "twice")
-    assert "0 processes cannot work" in refused(capsys, "reproduce", "--jobs", "0")
+    assert "expected 1 or more processes" in refused(capsys, "reproduce", "--jobs", "0")
 
 
 def test_run_refuses_what_contradicts_itself(capsys: pytest.CaptureFixture[str]) -> None:
@@ -185,7 +185,7 @@ def test_an_rclpy_that_cannot_be_loaded_is_one_sentence(
 def test_reproduce_writes_figures_and_report(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """A tenth of a second is no experiment, and the verdict says so."""
+    """A tenth of a second is no experiment, as the verdict reports."""
     arguments = ["--layout", "pinch", "--duration", "0.1", "--jobs", "1"]
     assert main(["reproduce", "--out", str(tmp_path), *arguments]) == 0
     printed = capsys.readouterr().out
@@ -205,14 +205,14 @@ def test_interrupted_reproduction_leaves_nothing(tmp_path: Path) -> None:
         wait_until(lambda: len(Path(workers).read_text().split()) >= 2, 60.0, "workers to start")
         children = [int(pid) for pid in Path(workers).read_text().split()]
         process.send_to_group(signal.SIGINT)
-        # Python turns an interrupt in the middle of some imports into death by that very signal.
+        # During some imports, Python turns an interrupt into death by that very signal.
         assert process.wait(30.0) in (130, -signal.SIGINT)
         wait_until(lambda: not any(is_alive(pid) for pid in children), 20.0, "workers to end")
         assert "Traceback" not in process.stderr
 
 
 def is_alive(pid: int) -> bool:
-    """Return whether a process runs; one that waits for its parent's last look does not."""
+    """Return whether a process runs; a zombie does not."""
     try:
         return Path(f"/proc/{pid}/stat").read_text().rpartition(") ")[2][0] != "Z"
     except OSError:

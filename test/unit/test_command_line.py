@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Every command ends with one sentence and the code that belongs to it."""
+"""Every command ends with one sentence and the matching exit code."""
 
 from __future__ import annotations
 
@@ -83,7 +83,7 @@ def test_a_signal_ends_a_command_in_order_while_it_runs_and_only_then(
         assert signal.getsignal(number) is signal.SIG_IGN
         signal.signal(number, usual)
         assert run_command("program", lambda: signal.signal(number, signal.SIG_IGN)) == 0
-        assert signal.getsignal(number) is signal.SIG_IGN  # what the command has set stays
+        assert signal.getsignal(number) is signal.SIG_IGN  # the command's own setting stays
     finally:
         signal.signal(number, before)
 
@@ -97,7 +97,7 @@ def test_without_an_output_a_command_is_not_begun(
 
 
 class Full(io.StringIO):
-    """An output that cannot be written, on a descriptor of its own."""
+    """An output that cannot be written, with its own descriptor."""
 
     encoding = "ascii"  # type: ignore[assignment]
 
@@ -128,7 +128,7 @@ def test_output_that_cannot_be_written_is_dropped(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    """What is buffered is written at the end, and the interpreter must not try it again."""
+    """The buffer is written at the end, and the interpreter must not try it again."""
     with (tmp_path / "file").open("w") as file:
         monkeypatch.setattr(sys, "stdout", Full(file, error))
         command = failing(BagError("no bag.")) if is_refused else lambda: None
@@ -153,7 +153,7 @@ def test_letters_that_the_terminal_lacks_are_written_as_escapes(
 
 @pytest.mark.usefixtures("hangups_count")
 def test_a_signal_gives_its_code_also_where_what_was_printed_cannot_be_written() -> None:
-    """Python itself would end with 120."""
+    """Python itself would exit with 120."""
     program = """
 import os, signal, sys
 from tactile_hand_ros.command_line import run_command

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Compiled functions are those of the present sources, and a damaged cache is repaired."""
+"""Compiled functions match the present sources, and a damaged cache is repaired."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def control(tmp_path: Path) -> Path:
 
 
 def run(control: Path, code: str, **environment: str) -> tuple[str, str]:
-    """Return what a new process prints, as another run of a node would, and its warnings."""
+    """Return the output and warnings of a new process, like another run of a node."""
     result = subprocess.run(
         [sys.executable, "-c", code],
         cwd=control.parents[1],
@@ -68,7 +68,7 @@ def test_a_change_in_a_called_file_is_seen_also_where_the_user_wants_the_cache(
     mine = {"NUMBA_CACHE_DIR": str(tmp_path / "mine")}
     assert run(control, CALL, **mine) == ("20.0", "")
     assert not list(control.parent.rglob("*.nbi")) and list((tmp_path / "mine").rglob("*.nbi"))
-    # Another length: Python takes a source of the same second and length for the one it knows.
+    # With another length: Python considers a source of equal second and length unchanged.
     (control / "inner.py").write_text(INNER.format(constant="2.000"))
     assert run(control, CALL, **mine) == ("30.0", "")
 
@@ -130,7 +130,7 @@ print(np.array(out).tobytes().hex())
 
 
 def test_slip_and_friction_are_the_same_numbers_without_numba(tmp_path: Path) -> None:
-    """To the bit: the readable source is the reference for what is compiled from it."""
+    """To the bit: the readable source is the reference for its compiled version."""
     both = [
         subprocess.Popen(
             [sys.executable, "-c", REGULATED],
@@ -182,7 +182,7 @@ def test_without_a_place_for_the_cache_it_is_compiled_in_each_process(control: P
 def test_waiting_for_the_compiler_can_be_given_up(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """A Ctrl-C in that time is answered immediately, and the compiler ends."""
+    """A Ctrl-C meanwhile is answered immediately, and the compiler ends."""
     monkeypatch.setattr(module, "is_complete", lambda: False)
     waits: list[float] = []
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""docs/reference/equations.md names code that exists and that names its equation."""
+"""docs/reference/equations.md names existing code that names its equation."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ EQUATIONS = table("equation")
 
 
 def _above(folder: str) -> list[str]:
-    """Return what stands before the name of a folder: nothing for those beside the package."""
+    """Return the prefix of a folder's name; empty for folders next to the package."""
     return [] if folder in ("bench", "studies") else [PACKAGE]
 
 
@@ -62,7 +62,7 @@ def test_the_named_code_exists_and_names_its_equation(row: list[str]) -> None:
 
 
 def test_no_other_code_writes_the_grasp_map_or_the_hand_jacobian_again() -> None:
-    """Skew matrices and cross products of many vectors are how they are written elsewhere."""
+    """They would contain skew matrices or cross products of many vectors."""
     allowed = {f"{row[0].strip('`').replace('.', '/')}.py" for row in table("module")}
     allowed |= {"report/scene.py", "simulation/solid.py", "simulation/palm_motion.py"}  # mechanics
     allowed |= {"control/holds.py"}  # how forces turn with an object: their geometric stiffness

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Errors say how many, where, and which library is missing."""
+"""Errors give count, place and the missing library."""
 
 import pytest
 

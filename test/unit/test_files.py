@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A file or link is replaced in one step or not at all, and no planted link is followed."""
+"""A file or link is replaced atomically or not at all, and no planted link is followed."""
 
 import os
 import resource
@@ -44,7 +44,7 @@ def test_a_full_disk_leaves_the_old_text_and_no_draft(tmp_path):
 def test_a_link_planted_under_the_name_of_the_draft_is_not_followed(tmp_path, monkeypatch):
     victim = tmp_path / "victim"
     victim.write_text("precious")
-    monkeypatch.setattr(os, "urandom", bytes)  # as if the name had been guessed
+    monkeypatch.setattr(os, "urandom", bytes)  # an attacker has guessed the name
     draft = tmp_path / f".file.{bytes(8).hex()}"
     draft.symlink_to(victim)
     with pytest.raises(FileExistsError):
@@ -53,7 +53,7 @@ def test_a_link_planted_under_the_name_of_the_draft_is_not_followed(tmp_path, mo
 
 
 def test_a_text_is_on_the_disk_before_it_takes_its_place(tmp_path, monkeypatch):
-    """A crash of the machine could leave an empty file otherwise."""
+    """Otherwise a crash of the machine could leave an empty file."""
     file, sizes, sync = tmp_path / "file", [], os.fsync
 
     def watched(descriptor):

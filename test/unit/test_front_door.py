@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The package's public names are few, documented, and cost nothing until they are used."""
+"""The package's public names are few, documented, and free until first use."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ SHORT = {"duration": 0.1, "targets": []}
 
 
 class Firmer(OptimalLaw):
-    """A law of the user's own, defined where it is used."""
+    """A user law, defined where it is used."""
 
     def internal_torque(self) -> np.ndarray:
         return 1.5 * super().internal_torque()

@@ -43,7 +43,7 @@ def launched(**arguments: str) -> list[dict[str, Any]]:
 
 @pytest.fixture(autouse=True)
 def _stand_ins(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    """Let the launch file import what is not there, and write below the folder of the test."""
+    """Install the stand-ins, and write below the folder of the test."""
     names = "LaunchContext LaunchDescription DeclareLaunchArgument OpaqueFunction "
     names += "LaunchConfiguration Node"
     module = SimpleNamespace(**{name: StandIn for name in names.split()})

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""An executable loads no library that it does not need: seven start at the same time."""
+"""An executable loads only the libraries that it needs, because seven start at the same time."""
 
 from __future__ import annotations
 
@@ -31,16 +31,16 @@ UNNEEDED = {
     "recorder": NODE | MODEL | SOLVER | PLANT | COMPILER,
     "composed": NODE,
     "controllers": NODE,
-    # It checks the scenario, but what it calls once need not be compiled.
+    # It checks the scenario, but a single call need not be compiled.
     "orchestrator": FIGURES | COMPILER,
 }
 
 
 @pytest.fixture(scope="module")
 def loaded() -> Callable[[str], set[str]]:
-    """Start all executables at once; give the modules that one imports before it does anything.
+    """Start all executables at once; return the modules imported by each before its work.
 
-    The orchestrator imports what runs only when it knows that it has to.
+    The orchestrator imports the parts for a run only when there is one.
     """
     execute = [
         "-c",

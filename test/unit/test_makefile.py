@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The Makefile in awkward places, and what the set-up shows while pip works."""
+"""The Makefile in unusual places, and the output of the set-up while pip works."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ ROOT = Path(__file__).resolve().parents[2]
 
 @pytest.fixture
 def tree(tmp_path: Path) -> Path:
-    """Return a tree that is set up already, with a command that prints its arguments."""
+    """Return a prepared tree with a command that prints its arguments."""
     tree = tmp_path / "it's a tree"
     bin_folder = tree / ".venv" / "bin"
     bin_folder.mkdir(parents=True)
@@ -36,7 +36,7 @@ def tree(tmp_path: Path) -> Path:
 
 
 def make(tree: Path, *words: str) -> subprocess.CompletedProcess[str]:
-    """Run make as from a shell, also where the tests run below a make of their own."""
+    """Run make as from a shell, even if the tests themselves run below make."""
     own = {key: value for key, value in os.environ.items() if not key.startswith("MAKE")}
     return subprocess.run(
         ["make", *words], cwd=tree, env=own, capture_output=True, text=True, timeout=60

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""package.xml, setup.py, the requirements and the imports say the same."""
+"""package.xml, setup.py, the requirements and the imports agree."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ import tactile_hand_ros
 ROOT = Path(__file__).resolve().parents[2]
 MANIFEST = ElementTree.parse(ROOT / "package.xml").getroot()
 EXEC_DEPENDS = [str(element.text) for element in MANIFEST.findall("exec_depend")]
-# Where the rosdep key or the module is named unlike the distribution on the Python index.
+# Libraries whose rosdep key or module differs from the name on the Python index.
 KEY_TO_DISTRIBUTION = {"pinocchio": "pin", "python3-yaml": "pyyaml"}
 MODULE_TO_DISTRIBUTION = {"pinocchio": "pin", "yaml": "pyyaml"}
 
 
 def requirements(name: str) -> dict[str, Requirement]:
-    """Read a requirements file by distribution name, leaving out what this Python does not take."""
+    """Read a requirements file by distribution name, without those for other Python versions."""
     lines = (ROOT / "requirements" / name).read_text().splitlines()
     wanted = [Requirement(line) for line in lines if line and not line.startswith("#")]
     return {
@@ -81,7 +81,7 @@ def test_pins_lie_in_the_declared_ranges() -> None:
 
 
 def locked(name: str) -> dict[str, list[Requirement]]:
-    """Read a locked file by distribution name; a package may have a version for each Python."""
+    """Read a locked file by distribution name; a version may depend on Python's."""
     text = (ROOT / "requirements/locked" / name).read_text().replace(" \\\n", " ")
     found: dict[str, list[Requirement]] = {}
     for line in text.splitlines():
@@ -121,7 +121,7 @@ def test_a_ros_workspace_gets_a_typer_that_can_read_the_commands() -> None:
 
 
 def imported_modules() -> set[str]:
-    """Collect the top-level modules from outside that the package imports at load time or later."""
+    """Collect the external top-level modules that the package imports at load time or later."""
     found: set[str] = set()
     for path in (ROOT / "tactile_hand_ros").rglob("*.py"):
         for node in ast.walk(ast.parse(path.read_text())):
@@ -132,7 +132,7 @@ def imported_modules() -> set[str]:
     return found - sys.stdlib_module_names - {"tactile_hand_ros"}
 
 
-# tf2_msgs is used wherever it can be imported and never required; llvmlite comes with Numba.
+# tf2_msgs is optional and never required; llvmlite comes with Numba.
 @pytest.mark.parametrize("module", sorted(imported_modules() - {"tf2_msgs", "llvmlite"}))
 def test_import_is_declared(module: str) -> None:
     distribution = canonicalize_name(MODULE_TO_DISTRIBUTION.get(module, module))

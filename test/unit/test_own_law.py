@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Laws of the user's own: found next to the scenario, checked, and never imported for a bag."""
+"""User laws: found next to the scenario, checked, and never imported from a bag."""
 
 from __future__ import annotations
 

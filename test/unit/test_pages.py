@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The documentation's examples do what the text says, and its commands and options exist."""
+"""The documentation's examples work as described, and its commands and options exist."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ from tactile_hand_ros.scenario.scenario import Scenario, load_scenario, resolved
 ROOT = Path(__file__).resolve().parents[2]
 TEXTS = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 _NUMBER = re.compile(r"(?<![\w./-])\d+(?:\.\d+)?")
-_SHORT = slice(0, 60)  # ticks of a run that are enough for commands that read it
+_SHORT = slice(0, 60)  # ticks of a run, sufficient for commands that read it
 
 
 def load_tool() -> ModuleType:
@@ -51,7 +51,7 @@ tool = load_tool()
 
 @pytest.fixture(scope="module", autouse=True)
 def _each_run_is_made_once() -> Iterator[None]:
-    """Pages show the same runs, which repeat to the bit."""
+    """Execute each run once: pages share runs, which repeat to the bit."""
     run, made = ClosedLoop.run, dict[str, Record]()
 
     def once(loop: ClosedLoop, progress: object = None) -> Record:
@@ -68,10 +68,10 @@ def page(name: str) -> str:
 
 
 def agree(line: str, other: str) -> bool:
-    """Whether lines agree but for what differs from one processor to the next.
+    """Whether lines agree up to differences between processors.
 
-    Rounding changes small errors that noise makes: by a tenth of the largest number in the line,
-    which is the goal where it is met.
+    Rounding changes small errors caused by noise: by a tenth of the largest number in the line,
+    which is the goal if it is met.
     """
     ours, theirs = (np.array(_NUMBER.findall(each), dtype=float) for each in (line, other))
     same = _NUMBER.sub("", line).split() == _NUMBER.sub("", other).split()
@@ -79,7 +79,7 @@ def agree(line: str, other: str) -> bool:
 
 
 def check_agreement(redrawn: str, text: str) -> None:
-    """Check that a page shows what its commands print."""
+    """Check that a page shows the output of its commands."""
     pairs = zip(redrawn.splitlines(), text.splitlines(), strict=True)
     stale = "\n".join(ours for ours, theirs in pairs if not agree(ours, theirs))
     assert not stale, f"run `make docs-figures`:\n{stale}"
@@ -88,7 +88,7 @@ def check_agreement(redrawn: str, text: str) -> None:
 def test_the_tutorial_shows_what_its_commands_print(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """All runs of the page, and on what they leave behind all its other commands."""
+    """All runs of the page, and all its other commands on their output."""
     text = page("docs/tutorials/getting-started.md")
 
     def keep(words: str, scenario: Scenario, record: Record) -> None:
@@ -122,7 +122,7 @@ def test_the_scenarios_page_shows_what_its_commands_print() -> None:
 
 @pytest.fixture
 def own_hand(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Return the folder with the files of the page about a hand of one's own, the URDF included."""
+    """Return the folder with the files of the page about your own hand, including the URDF."""
     folder = tmp_path / "my"
     folder.mkdir()
     text = page("docs/tutorials/your-own-hand.md")
@@ -199,12 +199,12 @@ class NoMoreTicks(Exception):
 
 @pytest.fixture
 def real_hand(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
-    """Return the page, with its YAML and a URDF of those names in the present folder."""
+    """Return the page, with its YAML and a matching URDF in the current folder."""
     text = page("docs/how-to/real-hand.md")
     description = (config_directory() / "hands" / "paper.urdf").read_text("utf-8")
     for number, name in enumerate(("thumb", "index", "middle"), start=1):
         description = description.replace(f"finger_{number}", name)
-    description = description.replace('ixx="0.0077"', 'ixx="0.0042"')  # Table I: no body has that
+    description = description.replace('ixx="0.0077"', 'ixx="0.0042"')  # Table I's is impossible
     (tmp_path / "my_hand.urdf").write_text(description)
     (tmp_path / "my_hand.yaml").write_text(fenced(text, "yaml"))
     monkeypatch.chdir(tmp_path)
@@ -228,7 +228,7 @@ def test_a_hand_of_ones_own_is_tried_by_the_command_of_its_page(real_hand: str) 
 
 
 def test_the_drivers_loop_of_the_page_holds_the_joints(real_hand: str) -> None:
-    """Its code as it stands, for ten ticks without a command."""
+    """Its code as printed, for ten ticks without a command."""
     ticks = iter(range(10))
     applied: list[Any] = []
     told: list[str] = []
@@ -261,14 +261,14 @@ def test_the_files_that_pages_name_exist() -> None:
 
 
 def anchors(text: str) -> set[str]:
-    """Return the anchors of a page's headings, as GitHub and the site make them."""
+    """Return the anchors of a page's headings, as created by GitHub and the site."""
     titles = re.findall(r"^#+ (.+)$", re.sub(r"^```.*?^```", "", text, flags=re.M | re.S), re.M)
     return {re.sub(r"[^\w -]", "", title.lower()).strip().replace(" ", "-") for title in titles}
 
 
 @pytest.mark.parametrize("name", ["README.md", "CONTRIBUTING.md", "SECURITY.md"])
 def test_links_into_the_tree_lead_somewhere(name: str) -> None:
-    """Those between pages of the site are checked when it is built."""
+    """Links between pages of the site are checked when it is built."""
     for link in re.findall(r"\]\((?!https?:)([^)\s]+)\)", page(name)):
         file, _, anchor = link.partition("#")
         target = ROOT / (file or name)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""docs/reference/parameters.md lists what the code declares."""
+"""docs/reference/parameters.md lists the parameters declared in the code."""
 
 import enum
 from pathlib import Path
@@ -20,7 +20,7 @@ SIGNS = {"Ge": "≥", "Gt": ">", "Le": "≤", "Lt": "<"}
 
 
 def shown(value):
-    """Return a default as the page writes it."""
+    """Return a default in the format of the page."""
     if isinstance(value, (tuple, list)):
         return f"[{', '.join(shown(each) for each in value)}]"
     if isinstance(value, bool):

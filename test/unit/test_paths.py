@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A tick takes a short path: few modules between the messages of a tick and the answer."""
+"""A tick takes a short path: few modules between its messages and the answer."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ PACKAGE = Path(tactile_hand_ros.__file__).parent
 ANSWERS = (names.JOINT_COMMAND, names.GRASP_FORCE)
 TICK = 2_000_000
 STEADY = 5
-"""Ticks after which nothing is done for the first time any more."""
+"""Ticks after which no code path is new."""
 
 
 @pytest.fixture
@@ -38,7 +38,7 @@ def here() -> Iterator[Process]:
 
 
 def messages_of(node: Any, stamp: int) -> dict[str, bytes]:
-    """Return what a node takes at a tick [ns] of the paper's grasp, by topic, the joints last."""
+    """Return a node's input at a tick [ns] of the paper's grasp, by topic, the joints last."""
     plant = Plant(load_scenario("paper").plant)
     state, hand = plant.state, plant.hand
     turns = np.array([quaternion_from_rotation(each) for each in state.contacts.rotations])
@@ -58,7 +58,7 @@ def messages_of(node: Any, stamp: int) -> dict[str, bytes]:
 
 
 def bring(node: Any, topic: str, data: bytes, number: int) -> None:
-    """Give a node a message as its executor would."""
+    """Pass a message to a node like its executor."""
     (subscription,) = (each for each in node.subscriptions if each.topic_name == f"/{topic}")
     info = {"publication_sequence_number": number}
     wants_info = len(inspect.signature(subscription.callback).parameters) > 1
@@ -66,10 +66,10 @@ def bring(node: Any, topic: str, data: bytes, number: int) -> None:
 
 
 def modules_of_a_tick(node: Any) -> list[str]:
-    """Return the modules of this package in which code runs during a tick of an unserved node.
+    """Return the modules of this package that execute code during a tick of an unserved node.
 
     Sorted, from the callbacks of the subscriptions to the bytes of the answer. Compiled functions
-    do not count, the modules that call them do.
+    do not count, but their callers do.
     """
     found: set[str] = set()
     answers: list[set[str]] = []

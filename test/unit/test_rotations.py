@@ -96,7 +96,7 @@ def test_a_rotation_vector_comes_back_at_every_size(size):
 
 @pytest.mark.parametrize("size", [1e-6, 0.5e-4, 0.99e-4, 1.01e-4, 0.1, 2.0])
 def test_sine_and_cosine_of_a_rotation_are_exact_each_for_itself(size):
-    """About an axis in the plane, each stands alone in an entry."""
+    """About an axis in the plane, each appears alone in an entry."""
     x, y = 0.6 * size, -0.8 * size
     found = rotation_from_vector([x, y, 0.0])
     cosine = -2.0 * np.sin(0.5 * size) ** 2 * 0.48

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Signals that come at the worst moment of a wait."""
+"""Signals at the worst moment of a wait."""
 
 from __future__ import annotations
 
@@ -71,14 +71,14 @@ def test_a_wait_ends_with_the_signal_and_the_first_one_counts(signals: Signals) 
         signals.wait(1000.0)
     sender.join()
     os.kill(os.getpid(), signal.SIGINT)
-    for _ in range(3):  # also again and again
+    for _ in range(3):  # repeatedly
         with pytest.raises(Interrupted, match="ended by SIGTERM"):
             signals.wait(1000.0)
     assert (signals.number, signals.exit_code) == (signal.SIGTERM, 143)
 
 
 def test_a_hangup_that_is_ignored_stays_so(signals: Signals) -> None:
-    """As nohup means it; an ignored SIGINT is taken over, since it is how a run is ended."""
+    """As for nohup; an ignored SIGINT is handled all the same, because it ends a run."""
     signal.signal(signal.SIGHUP, signal.SIG_IGN)
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signals.install()
@@ -89,7 +89,7 @@ def test_a_hangup_that_is_ignored_stays_so(signals: Signals) -> None:
 
 
 def test_signals_at_any_moment_of_a_wait_do_not_lock_it() -> None:
-    """A handler runs between any two steps of the wait; what both use must bear that."""
+    """A handler may run between any two steps of the wait, so shared state must tolerate it."""
     result = subprocess.run(
         [sys.executable, "-c", FLOOD], capture_output=True, text=True, timeout=60.0
     )

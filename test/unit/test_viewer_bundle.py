@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The page's script in the package is the product of the source beside it."""
+"""The page's script in the package is built from the source next to it."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def bundle(name: str) -> str:
 
 
 def digest() -> str:
-    """Return the digest of the source as viewer/build.mjs computes it."""
+    """Return the digest of the source, computed like viewer/build.mjs."""
     found = [path for path in (VIEWER / "src").rglob("*") if path.is_file()]
     names = [*FIXED, *(path.relative_to(VIEWER).as_posix() for path in found)]
     sha = hashlib.sha256()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""metadata.yaml is rosbag2's version 9."""
+"""metadata.yaml follows version 9 of rosbag2."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from rosbags.rosbag2.metadata import parse_qos
 
 from tactile_hand_ros.bag.metadata import BagMetadata, TopicMetadata, dump, offered_qos
 
-# What rosbag2 writes, as `mcap list metadata` shows it.
+# Written by rosbag2, as shown by `mcap list metadata`.
 AT_CLOSE = """\
 rosbag2_bagfile_information:
   version: 9
@@ -75,7 +75,6 @@ OFFERED = {
 
 
 def test_file_of_a_finished_bag() -> None:
-    """Totals are those of the topics."""
     wrench = TopicMetadata(
         "/left/wrench", "geometry_msgs/msg/WrenchStamped", (OFFERED,), "RIHS01_00ff", 5
     )
@@ -83,7 +82,7 @@ def test_file_of_a_finished_bag() -> None:
     metadata = BagMetadata("run_0.mcap", 1000, 25, [wrench], custom)
     written = yaml.safe_load(metadata.file_text())
     assert written == yaml.safe_load(AT_CLOSE)
-    assert next(iter(written["rosbag2_bagfile_information"])) == "version"  # as rosbag2 looks first
+    assert next(iter(written["rosbag2_bagfile_information"])) == "version"  # rosbag2 reads it first
     inside = yaml.safe_load(metadata.record()["serialized_metadata"])
     assert written == {"rosbag2_bagfile_information": inside}
 
@@ -91,12 +90,12 @@ def test_file_of_a_finished_bag() -> None:
 @given(st.dictionaries(st.text(), st.text() | st.lists(st.integers() | st.booleans(), max_size=3)))
 @example({"scenario": "a\nb: c\n", "0": "0", "z": "true", "~": "~", "x": '"\\', "y": "é\x85"})
 def test_what_is_written_reads_back(tree: dict[str, object]) -> None:
-    """No text is mistaken for a number, a boolean or a structure."""
+    """Text is never parsed as a number, a boolean or a structure."""
     assert yaml.safe_load(dump(tree)) == tree
 
 
 def test_a_profile_of_the_graph_keeps_all_its_policies() -> None:
-    """Rosbags reads what the channel of a topic says."""
+    """Rosbags reads the QoS profile from the channel of a topic."""
     profile = QoSProfile(
         history=HistoryPolicy.KEEP_LAST,
         depth=7,

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A bag names the versions that made it."""
+"""A bag records the versions of the software that wrote it."""
 
 from __future__ import annotations
 

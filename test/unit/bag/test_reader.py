@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Reading chooses topics and times, and reports what is wrong with a broken bag."""
+"""Reading selects topics and times, and reports the defects of a broken bag."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def bag(tmp_path: Path) -> Path:
 
 
 def test_topics_can_be_chosen(bag: Path) -> None:
-    """One, none, an absent one, all."""
+    """One topic, none, an absent one, all."""
     assert [m.log_time for m in read_messages(bag, ["/odd"])] == list(range(1, 20, 2))
     assert list(read_messages(bag, [])) == []
     assert list(read_messages(bag, ["/absent"])) == []
@@ -39,7 +39,6 @@ def test_topics_can_be_chosen(bag: Path) -> None:
 
 
 def test_messages_are_decoded(bag: Path) -> None:
-    """Fields have their ROS names."""
     assert next(read_messages(bag, {"/even"})).message.data == struct.unpack("<d", FLOAT[4:])[0]
 
 
@@ -52,7 +51,7 @@ def test_summary(bag: Path) -> None:
 
 
 def test_custom_data_are_those_of_the_folder_or_else_of_the_file(tmp_path: Path) -> None:
-    """Those of the folder are written last. A folder may be named like a file."""
+    """The folder's are written last. A folder may be named like a file."""
     folder = tmp_path / "run.mcap"
     with BagWriter(folder) as writer:
         writer.add_metadata(RECORD_NAME, {"scenario": "name: mine\n"})
@@ -64,7 +63,7 @@ def test_custom_data_are_those_of_the_folder_or_else_of_the_file(tmp_path: Path)
 
 
 def test_messages_of_all_connections_of_a_topic_are_counted_and_read(tmp_path: Path) -> None:
-    """Two publishers with different offers are two connections in a file of its own."""
+    """Two publishers with different QoS offers are two connections in a file."""
     with BagWriter(tmp_path / "run") as writer:
         kinds = (ReliabilityPolicy.RELIABLE, ReliabilityPolicy.BEST_EFFORT)
         first, second = [
@@ -95,7 +94,7 @@ def test_what_is_no_bag_is_refused_with_a_reason(tmp_path: Path) -> None:
 
 
 def test_folder_without_metadata(bag: Path) -> None:
-    """What a killed recorder leaves."""
+    """A killed recorder leaves such a folder."""
     (bag / "metadata.yaml").unlink()
     with pytest.raises(BagError, match=f"tactile-hand recover {bag}"):
         summarize(bag)
@@ -103,7 +102,7 @@ def test_folder_without_metadata(bag: Path) -> None:
 
 @pytest.mark.parametrize("size", [0, 4, 8, 100, 600, -1, -9, -40])
 def test_truncated_file(bag: Path, size: int) -> None:
-    """Wherever the file ends, the error says what to do."""
+    """Wherever the file ends, the error names the remedy."""
     path = bag / "run_0.mcap"
     path.write_bytes(path.read_bytes()[:size])
     with pytest.raises(BagError, match=f"tactile-hand recover {bag}"):
@@ -111,7 +110,7 @@ def test_truncated_file(bag: Path, size: int) -> None:
 
 
 def test_damaged_chunk_is_found_while_reading(bag: Path) -> None:
-    """The index is whole, a message is not: the checksum tells."""
+    """The index is intact, but the checksum reveals a damaged message."""
     path = bag / "run_0.mcap"
     data = bytearray(path.read_bytes())
     at = data.rindex(FLOAT)
@@ -125,7 +124,7 @@ def test_damaged_chunk_is_found_while_reading(bag: Path) -> None:
 
 @pytest.mark.parametrize("data", [b"", b"\0\1\0\0", b"\0\1\0\0" + bytes(3)])
 def test_message_that_is_no_message(tmp_path: Path, data: bytes) -> None:
-    """Bytes that cannot be decoded are an error of the bag, too; raw reading gives them."""
+    """Bytes that cannot be decoded are an error, too; raw reading returns them."""
     with BagWriter(tmp_path / "run") as writer:
         writer.write(writer.add_channel("/x", "std_msgs/msg/Float64"), data, 1, 1)
     [found] = read_messages(tmp_path / "run")
@@ -148,7 +147,7 @@ def test_message_that_is_no_message(tmp_path: Path, data: bytes) -> None:
     ],
 )
 def test_damaged_metadata_are_refused(bag: Path, old: str, new: str) -> None:
-    """Numbers that are none, names that lead elsewhere, text that is nested deeply."""
+    """Invalid numbers, names that lead elsewhere, deeply nested text."""
     file = bag / "metadata.yaml"
     text = file.read_text()
     assert old in text

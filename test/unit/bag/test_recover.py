@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Bags that were cut off or damaged: what is whole comes back, nothing is invented or destroyed."""
+"""Recovery of cut or damaged bags: all intact data returns, nothing is made up or destroyed."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ COUNT = 400
 
 
 def payload(number: int) -> bytes:
-    """Return the CDR of a String, hard to compress."""
+    """Return the CDR of a String that compresses poorly."""
     data = f"{number} {hash((number, 'x')) ** 5}".encode() + b"\0"
     return b"\0\1\0\0" + len(data).to_bytes(4, "little") + data
 
@@ -65,7 +65,7 @@ def whole(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFacto
 def test_cut_at_any_byte_all_whole_chunks_come_back(
     whole: Path, tmp_path_factory: pytest.TempPathFactory, part: float
 ) -> None:
-    """Messages are a gapless front; the original is untouched."""
+    """The recovered messages have no gap; the original is unchanged."""
     folder = tmp_path_factory.mktemp("cut") / "run"
     shutil.copytree(whole, folder)
     file = folder / "run_0.mcap"
@@ -85,7 +85,7 @@ def test_cut_at_any_byte_all_whole_chunks_come_back(
 
 
 def chunked(data: bytes) -> int:
-    """Return how many messages the whole chunks in the front of a file hold, by their indices."""
+    """Return the number of messages in the complete chunks of a cut file, by their indices."""
     at, count = 8, 0
     while at + 9 <= len(data):
         length = int.from_bytes(data[at + 1 : at + 9], "little")
@@ -103,7 +103,6 @@ def damage(file: Path, change: Callable[[bytearray], None]) -> None:
 
 
 def test_damaged_chunk_is_left_out_and_the_rest_is_kept(tmp_path: Path) -> None:
-    """No message is made up of wrong bytes."""
     sent = write_bag(tmp_path / "run", "none")
 
     def flip(data: bytearray) -> None:
@@ -120,7 +119,7 @@ def test_a_chunk_that_announces_too_much_is_left_out(tmp_path: Path) -> None:
     write_bag(tmp_path / "run")
 
     def announce(data: bytearray) -> None:
-        name = b"\4\0\0\0zstd"  # behind the size and the checksum
+        name = b"\4\0\0\0zstd"  # after the size and the checksum
         at = data.index(name, data.index(name) + 1)  # the first chunk has the channels
         data[at - 12 : at - 4] = (2**40).to_bytes(8, "little")
 
@@ -130,7 +129,7 @@ def test_a_chunk_that_announces_too_much_is_left_out(tmp_path: Path) -> None:
 
 
 def test_zeros_at_the_end_are_no_records(tmp_path: Path) -> None:
-    """A disk that lost power leaves them."""
+    """A power failure leaves such zeros on the disk."""
     write_bag(tmp_path / "run")
     file = tmp_path / "run" / "run_0.mcap"
     size = file.stat().st_size // 2
@@ -140,7 +139,7 @@ def test_zeros_at_the_end_are_no_records(tmp_path: Path) -> None:
 
 
 def test_bag_of_others_of_several_files(tmp_path: Path) -> None:
-    """The messages of all files are in one new file, with their types, schemas and offers."""
+    """The new file has the messages of all files, with types, schemas and offers."""
     store = get_typestore(Stores.ROS2_JAZZY)
     folder = tmp_path / "foreign"
     folder.mkdir()
@@ -179,7 +178,7 @@ def test_topic_and_times_are_kept(tmp_path: Path) -> None:
 
 
 def foreign_file(file: Path, offers: str = "", schema: int = 1, encoding: str = "ros2msg") -> Path:
-    """Write an MCAP file with metadata records, and a channel that may have no schema."""
+    """Write an MCAP file with metadata records, and a channel that may lack a schema."""
     with file.open("wb") as stream:
         writer = Writer(stream)
         writer.start("ros2", "another")
@@ -208,7 +207,7 @@ def test_the_last_custom_data_count_and_other_records_are_kept(tmp_path: Path) -
 
 
 def test_offers_of_older_versions_have_names_afterwards(tmp_path: Path) -> None:
-    """And what cannot be read is left out."""
+    """Unreadable offers are omitted."""
     text = dump([{**LATCHED, "history": 1, "reliability": 2, "durability": 1, "liveliness": 1}])
     [topic] = recover(foreign_file(tmp_path / "x.mcap", text)).metadata.topics
     [offer] = topic.offers
@@ -222,7 +221,7 @@ def test_offers_of_older_versions_have_names_afterwards(tmp_path: Path) -> None:
 
 
 def test_refusals(tmp_path: Path) -> None:
-    """Each sentence says what was found; nothing is created."""
+    """Each error names the problem; nothing is created."""
     (tmp_path / "empty").mkdir()
     (tmp_path / "empty" / "run_0.mcap.zstd").touch()  # compressed by rosbag2, not by MCAP
     (tmp_path / "text.mcap").write_text("not an MCAP file")
@@ -242,7 +241,7 @@ def test_refusals(tmp_path: Path) -> None:
 def test_the_bag_of_a_run_is_found_in_its_folder(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The new folder is next to the bag, also where its name is relative."""
+    """The new folder is next to the bag, even if its name is relative."""
     write_bag(tmp_path / "run" / "bag", count=2)
     assert find_bag(tmp_path / "run") == tmp_path / "run" / "bag"
     assert recover(tmp_path / "run").target == tmp_path / "run" / "bag_recovered"

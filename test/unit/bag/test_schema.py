@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Schema texts are complete, in rosbag2's order, and mean the same type to other readers."""
+"""Schema texts are complete, in rosbag2's order, and define the same type in other readers."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def test_text_is_the_files_with_separators() -> None:
 
 @pytest.mark.parametrize("type_name", TYPES)
 def test_text_means_the_same_type_as_in_rosbags(type_name: str) -> None:
-    """Parsed on its own, it yields the fields and the hash of rosbags' own Jazzy definitions."""
+    """Parsed alone, it yields the fields and the hash of rosbags' own Jazzy definitions."""
     jazzy = get_typestore(Stores.ROS2_JAZZY)
     own = get_typestore(Stores.EMPTY)
     own.register(get_types_from_msg(message_definition(type_name).text, type_name))
@@ -69,7 +69,7 @@ def package(root: Path, monkeypatch: pytest.MonkeyPatch, **files: str) -> None:
 def test_arrays_comments_and_line_ends_are_kept(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Used types are found behind array marks and sorted; nothing of the text changes."""
+    """Types of arrays are found and sorted; the text is unchanged."""
     root = "# µ\r\nZ[<=3] z\nstring<=4 s\nA[2]  a # B b\nmy_msgs/M m\nint32 N=1\n"
     package(tmp_path, monkeypatch, Root_dot_msg=root, Z_dot_msg="bool z\n", A_dot_msg="Z z",
             M_dot_msg="bool m\n")  # fmt: skip
@@ -93,6 +93,6 @@ def test_what_every_message_may_hold_is_no_type_of_its_own(
 
 @pytest.mark.parametrize("name", ["no_such_msgs/msg/A", "std_msgs/msg/NoSuchType", "nonsense", ""])
 def test_unknown_type_is_an_error_that_names_it(name: str) -> None:
-    """The sentence says which type and where it was looked for."""
+    """The error names the type and the searched places."""
     with pytest.raises(BagError, match=f"'{name}'.*AMENT_PREFIX_PATH"):
         message_definition(name)

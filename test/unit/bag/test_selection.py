@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Topics are chosen by their whole name."""
+"""Topics are selected by their full name."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def test_patterns_match_the_whole_name(topic: str, chosen: bool) -> None:
 
 
 def test_everything_is_the_default() -> None:
-    """Simulated time, logs, diagnostics, parameters and namespaces are part of a recording."""
+    """This includes simulated time, logs, diagnostics, parameters and namespaces."""
     config = RecorderConfig(output="bag")
     selection = TopicSelection(config.topics, config.exclude)
     names = ["/clock", "/rosout", "/diagnostics", "/hand/tactile/contacts", "/parameter_events"]
@@ -37,6 +37,6 @@ def test_everything_is_the_default() -> None:
 
 @pytest.mark.parametrize("key", ["topics", "exclude"])
 def test_broken_pattern_is_refused_with_its_place(key: str) -> None:
-    """The text names the key and the pattern."""
+    """The error names the key and the pattern."""
     with pytest.raises(ConfigurationError, match=rf"{key}.*'\(' is not a valid regular expression"):
         from_flat(RecorderConfig, {"output": "bag", key: ["("]})

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Bags written here are whole to every reader, also after a failure."""
+"""Bags are readable by every reader, even after a failure."""
 
 from __future__ import annotations
 
@@ -109,7 +109,7 @@ def test_bag_without_messages_is_valid(tmp_path: Path) -> None:
 
 
 def test_refusals(tmp_path: Path) -> None:
-    """Nothing is overwritten, and nothing created."""
+    """Nothing is overwritten or created."""
     (tmp_path / "folder").mkdir()
     (tmp_path / "file").write_text("precious")
     for name in ("folder", "file"):
@@ -123,7 +123,7 @@ def test_refusals(tmp_path: Path) -> None:
 
 @pytest.fixture
 def small_disk() -> Iterator[int]:
-    """Let files of this process grow to 100 kB only, as a full disk would."""
+    """Limit this process to files of 100 kB, as on a full disk."""
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
     handler = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
     resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, hard))
@@ -148,7 +148,7 @@ def test_full_disk_is_a_clear_error_and_what_was_written_can_be_recovered(
 
 
 def test_flushed_messages_survive_a_killed_process(tmp_path: Path) -> None:
-    """What was flushed before SIGKILL is on disk, byte for byte."""
+    """Flushed data is on disk, byte for byte, before SIGKILL."""
     code = (
         "import os, signal, sys; from tactile_hand_ros.bag.writer import BagWriter\n"
         "w = BagWriter(sys.argv[1], compression='lz4')\n"
@@ -178,7 +178,7 @@ def test_any_bytes_and_times_come_back(
     messages: list[tuple[bool, bytes, int, int]],
     compression: str,
 ) -> None:
-    """Payloads are opaque: whatever goes in comes out, in order of log time."""
+    """Payloads are opaque and are returned unchanged, in order of log time."""
     folder = tmp_path_factory.mktemp("bags") / "run"
     with BagWriter(folder, compression=compression, chunk_size=256) as writer:
         channels = [add_string(writer, "/a"), add_string(writer, "/b")]
@@ -195,7 +195,7 @@ def test_any_bytes_and_times_come_back(
 
 
 def test_what_a_bag_says_before_it_is_closed(tmp_path: Path) -> None:
-    """Counts by topic, bytes, times; a message at time zero takes no time."""
+    """Counts by topic, bytes, times; a message at time zero has no duration."""
     writer = BagWriter(tmp_path / "run")
     first, second = add_string(writer, "/b"), add_string(writer, "/a")
     assert (first, second) == (1, 2)
@@ -229,7 +229,7 @@ def test_channels_of_one_type_share_its_schema(tmp_path: Path) -> None:
 
 
 def test_a_chunk_of_the_default_size_is_written_as_soon_as_it_is_full(tmp_path: Path) -> None:
-    """What a recorder loses that is killed; messages and their heads count."""
+    """A killed recorder loses no more than this; messages and their headers count."""
     writer = BagWriter(tmp_path / "run")
     channel, before, count = add_string(writer), 0, 0
     while writer.path.stat().st_size <= max(before, 5000):

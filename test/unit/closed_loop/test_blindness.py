@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The hand is blind: joints and touch decide the torque, whatever the object is made of."""
+"""The hand is blind: only joints and touch determine the torque, whatever the object."""
 
 import numpy as np
 import pytest
@@ -11,7 +11,7 @@ from tactile_hand_ros.control.slip.regulator import SlipRegulator
 from tactile_hand_ros.scenario.scenario import load_scenario
 from tactile_hand_ros.simulation.skin import TactileReading
 
-# What a hand with touch cannot know of the thing that it holds.
+# Properties of the object that touch cannot measure.
 HIDDEN = {
     "mass": {"plant.object.mass": 0.4},
     "inertia": {"plant.object.inertia": [0.002, 0.003, 0.004]},
@@ -23,7 +23,7 @@ HIDDEN = {
 
 
 def replay(scenario, seen):
-    """Return the torques with which the blind blocks answer joints and touch that were recorded."""
+    """Return the torques of the controller blocks for recorded joints and touch."""
     regulator = SlipRegulator(scenario.slip_regulator, 3)
     optimizer = ForceOptimizer(scenario.force_optimizer, 3)
     controller = Controller(scenario.manipulation_controller)
@@ -50,12 +50,12 @@ def plain():
 
 @pytest.mark.parametrize("changes", HIDDEN.values(), ids=HIDDEN)
 def test_the_same_joints_and_touch_give_the_same_torques_whatever_is_held(plain, changes):
-    """The run on the changed object is explained by joints and touch alone, to the bit.
+    """Joints and touch alone reproduce the run on the changed object, bit for bit.
 
-    The blind blocks are built from the plain scenario; were anything of the object handed to them
-    in the closed loop, they could not repeat its torques.
+    The blocks are built from the unchanged scenario. If the closed loop passed them any property of
+    the object, they could not reproduce its torques.
     """
     seen = ClosedLoop(load_scenario("paper", changes)).run(100)
     np.testing.assert_array_equal(replay(load_scenario("paper"), seen), seen.command)
     if "plant.object.size" not in changes:
-        assert np.abs(plain.command - seen.command).max() > 1e-9  # the object did matter
+        assert np.abs(plain.command - seen.command).max() > 1e-9  # the object had an effect

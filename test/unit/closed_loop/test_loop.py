@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The blocks together: determinism, other hands, the record, and a loop that lost something."""
+"""The complete loop: determinism, other hands, the record, and lost contacts."""
 
 import numpy as np
 import pytest
@@ -50,8 +50,8 @@ def test_the_record_is_complete_and_consistent():
     np.testing.assert_array_equal(record.stamps, 2_000_000 * np.arange(50))
     np.testing.assert_allclose(record.times, 0.002 * np.arange(50))
     for name, value in arrays(record).items():
-        assert np.isfinite(value).all() or name == "palm", name  # which never turns
-    # What was commanded at a tick acts until the next one.
+        assert np.isfinite(value).all() or name == "palm", name  # the palm does not turn
+    # A command acts until the next tick.
     np.testing.assert_array_equal(record.torque[1:], record.command[:-1])
     np.testing.assert_array_equal(record.torque[0], 0.0)
     # A perfect skin reports the truth.
@@ -78,7 +78,7 @@ def test_a_target_is_recorded_from_the_tick_it_holds():
     "joints", [[3, 4, 5], [3, 3, 4, 5], [3, 3, 3, 4, 5]], ids=["three", "four", "five"]
 )
 def test_other_hands_hold_and_turn_other_objects(tmp_path, joints):
-    """Fingers of 3 to 5 joints around a prism with as many sides: only files differ."""
+    """Fingers of 3 to 5 joints around a prism with as many sides; only the files differ."""
     values = {
         **prism_grasp(tmp_path, joints),
         "plant.object.mass": 0.1,
@@ -87,7 +87,7 @@ def test_other_hands_hold_and_turn_other_objects(tmp_path, joints):
         "manipulation_controller.law.damping": 0.3,
         "duration": 3.0,
     }
-    # R_pod is that of the contacts' own frame, which starts as their places make it.
+    # R_pod is that of the contacts' frame, whose initial value follows from their positions.
     start = ClosedLoop(load_scenario("paper", {**values, "targets": []})).run(1)
     turn = Rotation.from_rotvec([0.0, 0.0, 0.05])
     wanted = turn * Rotation.from_quat(start.auxiliary_quaternion[0])
@@ -109,7 +109,7 @@ def test_other_hands_hold_and_turn_other_objects(tmp_path, joints):
 
 
 def test_the_hand_holds_when_a_contact_is_lost_and_drives_when_it_is_back():
-    """A push pulls the object off finger 3; holding keeps the others, and the grasp returns."""
+    """A push pulls the object off finger 3; a hold keeps the other contacts until it returns."""
     pull = {"kind": "pulse", "start": 0.1, "duration": 0.02, "force": [0.0, -12.0, 0.0]}
     loop = ClosedLoop(
         load_scenario(

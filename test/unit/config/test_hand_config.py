@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The YAML file of a hand: what it may say, and how a hand is found."""
+"""The YAML file of a hand: valid content, and how a hand is found."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Configuration is immutable, finite, and says where and why it refuses a value."""
+"""Configuration is immutable and finite; errors give place and reason."""
 
 import enum
 import math
@@ -84,7 +84,7 @@ def test_values_are_read_into_their_types(tmp_path):
         (
             "body: {mass: true}",
             "body.mass",
-            ["body.mass is refused: true or false is not a number"],
+            ["body.mass is invalid: true or false is not a number"],
         ),
         ("fingers: four", "fingers", ["is 'four'", "should be a valid integer"]),
         ("noisy: perhaps", "noisy", ["is 'perhaps'", "should be a valid boolean"]),

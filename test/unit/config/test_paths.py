@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Finding the configuration directory, and the prefix that the package is installed in."""
+"""Finding the configuration directory and the installation prefix of the package."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ PACKAGES = Path("share", "ament_index", "resource_index", "packages")
 
 @pytest.fixture
 def installed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Pretend that package and interpreter are in prefixes of their own, without configuration."""
+    """Pretend that package and interpreter have prefixes of their own, without configuration."""
     for name in ("mine", "python"):
         (tmp_path / name / PACKAGES).mkdir(parents=True)
     (tmp_path / "mine" / PACKAGES / "tactile_hand_ros").touch()
@@ -49,7 +49,7 @@ def test_configuration_is_looked_for_in_the_tree_then_in_the_prefixes(
     assert config_directory() == overlay
     tree = installed / "mine" / "site"
     (tree / "config").mkdir(parents=True)
-    assert config_directory() == overlay  # some other config/ beside an installed package
+    assert config_directory() == overlay  # an unrelated config/ next to an installed package
     (tree / "package.xml").touch()
     assert config_directory() == tree / "config"
 

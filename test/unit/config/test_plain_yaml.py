@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Files of unknown origin are refused at once, in a sentence, whatever they expand to."""
+"""Malicious files are rejected immediately, in one sentence, whatever they expand to."""
 
 from __future__ import annotations
 

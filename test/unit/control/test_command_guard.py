@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The guard lets good commands through unchanged, and answers all others with a hold."""
+"""The guard passes valid commands unchanged, and replaces all others by a hold."""
 
 import numpy as np
 import pytest
@@ -26,7 +26,7 @@ def guard(**changes) -> CommandGuard:
 
 
 def step(made, tick, command=None, *, answers=None, theta=THETA, rates=STILL, refused=""):
-    """Step at a tick with a torque that answers it, or an earlier one."""
+    """Step at a tick with a torque that answers it or an earlier one."""
     if command is not None:
         command = TorqueCommand((tick if answers is None else answers) * TICK, np.asarray(command))
     return made.step(tick * TICK, theta, rates, command, refused)
@@ -180,7 +180,7 @@ def test_a_reset_forgets_the_past_the_torque_before_and_a_torque_that_stood_stil
     weight, made = HAND.gravity_torque(THETA), guard(torque_rate=50.0)
     tick = follow(made) + 10
     made.reset()
-    turned = weight - (TORQUE - weight)  # neither limited in its change, nor pulling off
+    turned = weight - (TORQUE - weight)  # neither rate-limited nor pulling off
     np.testing.assert_array_equal(step(made, tick, turned), turned)
     assert not made.reason
     made.reset()
@@ -245,7 +245,7 @@ def test_four_errors_of_a_coarse_encoder_are_no_motion(turned, stuck):
 
 @pytest.mark.parametrize(("pull", "reason"), [(-0.19, ""), (-0.21, command_guard.PULLS)])
 def test_a_command_may_pull_with_a_fifth_of_the_grasp_force(pull, reason):
-    """Under weight and bias, which are no grasp force; a load on all tips alike is none either."""
+    """On top of weight and bias, which are no grasp force, and of a common load on all tips."""
     weight, load = HAND.gravity_torque(THETA), np.tile([0.3, -2.0, 1.0], (3, 1))
     carry = joint_torque(HAND.fingertips(THETA), load)
     made = guard()
@@ -266,7 +266,7 @@ def test_to_let_go_step_by_step_is_no_jump():
 
 
 def test_fingers_that_hardly_press_may_be_pulled_anywhere():
-    """A hundredth of a finger's weight, of which a jump turns around what presses."""
+    """Below a hundredth of a finger's weight, a jump can reverse the contact forces."""
     for fraction, reason in ((0.9, ""), (20.0, command_guard.PULLS)):
         weight, made = HAND.gravity_torque(THETA), guard()
         _, presses = split_forces(tip_forces(HAND.fingertips(THETA), TORQUE - weight))
@@ -327,19 +327,19 @@ BAD = [np.full(9, np.nan), np.full(9, np.inf), np.where(np.arange(9) == 4, np.na
 @pytest.mark.parametrize("bad", BAD)
 @pytest.mark.parametrize("what", ["theta", "rates"])
 def test_joint_states_that_are_not_finite_start_a_hold_without_the_drive(bad, what):
-    """The last torque drove the joints: repeated, it would go on doing so."""
+    """The last torque drove the joints; repeating it would continue the motion."""
     made, tick = guard(**{"hold.reserve": 0.0}), 8
     drive = 0.1 * HAND.dynamics(THETA, STILL)[1] @ np.ones(9) / 0.002
     for each in range(tick):
         step(made, each, TORQUE + drive, rates=0.1 * each * np.ones(9))
     held = [step(made, tick + more, TORQUE + drive, **{what: bad}) for more in range(100)]
     assert made.reason == command_guard.BLIND and made.holds == {command_guard.BLIND: 1}
-    np.testing.assert_allclose(held[-1], TORQUE, atol=0.2)  # the posture moved a little
+    np.testing.assert_allclose(held[-1], TORQUE, atol=0.2)  # the posture moved slightly
     assert np.abs(drive).max() > 0.5
 
 
 def held_after(made, tick, good):
-    """Send a late command and then good ones; return for how many of these the joints are held."""
+    """Send a late command, then valid ones; return during how many of these the joints are held."""
     step(made, tick, TORQUE, answers=tick - 4)
     held = 0
     for more in range(1, good + 1):
@@ -349,7 +349,7 @@ def held_after(made, tick, good):
 
 
 def test_where_holds_follow_each_other_commands_must_be_good_for_a_while():
-    """On a computer that is too busy the hand rests instead of switching to and fro."""
+    """On an overloaded computer, the hand rests instead of switching back and forth."""
     made = guard(patience=0.1)
     tick = follow(made)
     for expected, good in ((0, 60), (50, 60), (20, 20), (50, 60), (50, 250), (0, 20)):
@@ -377,7 +377,7 @@ def test_age_is_counted_in_ticks_that_have_passed(late, age, reason):
 
 
 def test_what_the_contacts_press_with_follows_from_the_last_ticks():
-    """From as many as may be late and two, so that neither drive nor damping is kept."""
+    """From the maximum delay plus two ticks, so that neither drive nor damping is kept."""
     random = np.random.default_rng(3)
     made, rates = guard(age_limit=1, **{"hold.reserve": 0.0}), 0.1 * random.standard_normal((7, 9))
     torques = TORQUE + 0.1 * random.standard_normal((6, 9))
@@ -386,5 +386,5 @@ def test_what_the_contacts_press_with_follows_from_the_last_ticks():
     inertia = HAND.dynamics(THETA, rates[6])[1]
     weight = HAND.dynamics(THETA, rates[6])[2]
     pressed = torques[3:6].mean(axis=0) - inertia @ (rates[6] - rates[3]) / 0.006 - weight
-    held = step(made, 6, rates=rates[6])  # braking begins without a torque of its own
+    held = step(made, 6, rates=rates[6])  # braking starts without a torque of its own
     np.testing.assert_allclose(held, pressed + weight, rtol=1e-12)

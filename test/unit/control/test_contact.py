@@ -28,7 +28,7 @@ def test_frame_is_right_handed_with_y_along_the_normal(normal):
     np.testing.assert_allclose(np.cross(n, t_z), t_x, atol=1e-12)
     if np.hypot(normal[0], normal[1]) > 1.001e-3:
         assert t_z[2] > 0.0
-        np.testing.assert_allclose(t_x[2], 0.0, atol=1e-12)  # t_z takes all of palm z
+        np.testing.assert_allclose(t_x[2], 0.0, atol=1e-12)  # t_z has all of palm z
 
 
 @pytest.mark.parametrize(
@@ -76,7 +76,7 @@ def test_a_finger_without_contact_does_not_touch():
 
 
 def test_a_contact_without_a_direction_does_not_count():
-    """A zero quaternion next to a good position: nothing can be pushed along no direction."""
+    """A zero quaternion with a valid position defines no direction to push along."""
     quaternions = quaternion_from_rotation(frames([[-1.0, 0, 0], [1.0, 0, 0], [0, -1.0, 0]]))
     quaternions[2] = 0.0
     contacts = Contacts.from_poses(np.eye(3), quaternions)
@@ -93,7 +93,7 @@ def test_what_travels_on_a_topic_gives_the_same_frames_back():
 
 @pytest.fixture
 def touch():
-    """Return fingertips of the paper's hand in some posture, and points near them."""
+    """Return fingertips of the paper's hand in some posture, and nearby points."""
     hand, random = Hand.load("paper"), np.random.default_rng(5)
     tips = hand.fingertips(random.uniform(0.2, 0.9, hand.joints))
     return tips, tips.positions + random.normal(0.0, 0.01, (3, 3))
@@ -109,7 +109,7 @@ def test_hand_jacobian_is_equation_2_turned_into_frames(touch) -> None:
 
 
 def test_joint_torques_are_the_transposed_hand_jacobian_times_the_forces(touch) -> None:
-    """Written out it must be what equation (2) says, and do the work that the contacts do."""
+    """They must equal equation (2) written out, and do the same work as the contacts."""
     tips, points = touch
     random = np.random.default_rng(6)
     forces, rates = random.normal(size=(3, 3)), random.normal(size=9)

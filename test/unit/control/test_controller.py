@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The controller: driving, holding, disabled, targets now and later, and what it refuses."""
+"""The controller: driving, holding, disabled, present and future targets, rejected commands."""
 
 from itertools import pairwise
 
@@ -62,7 +62,7 @@ def test_a_target_keeps_what_is_nan_as_the_grasp_is_when_it_takes_effect(bench):
 
 
 def test_a_grasp_force_beyond_the_joints_keeps_its_shape(bench):
-    """A joint that saturates alone would bend the shape and throw the object."""
+    """If a single joint saturated, it would distort the forces and throw the object."""
     bench.grasp_force = 10.0
     wanted = bench.step().torque
     bench.grasp_force = 400.0
@@ -142,7 +142,7 @@ def test_a_target_out_of_reach_is_refused_at_once_and_the_last_stays(bench):
 
 
 def test_a_move_ends_where_the_grasp_force_nears_its_limit():
-    """What holds the object where a move begins may not hold it where it ends."""
+    """The initial grasp force may be too low for the object at the end of a move."""
     bench = Bench(grasp_force_limit=20.0, reference_time=0.2)
     bench.step()
     target = bench.target(0.01, 0.0, 0.0)
@@ -154,8 +154,8 @@ def test_a_move_ends_where_the_grasp_force_nears_its_limit():
     assert not bench.step(500, grasp_force=10.0).reason
     assert bench.controller.targets.target is stopped
     bench.controller.command(target)
-    assert not bench.step(2000).reason  # it may be asked for again
-    assert not bench.step(grasp_force=19.0).reason  # and one that has arrived stays there
+    assert not bench.step(2000).reason  # it may be requested again
+    assert not bench.step(grasp_force=19.0).reason  # and a target that was reached is kept
     assert bench.controller.targets.target is target
 
 
@@ -181,7 +181,7 @@ def test_what_is_missing_makes_it_hold_and_what_returns_makes_it_drive(given, re
     drive = bench.step()
     held = bench.step(**given(bench))
     assert held.mode is Mode.HOLD and reason in held.reason
-    # At rest and at the target the drive is the grasp force alone, and holding keeps exactly that.
+    # At rest at the target, the drive is only the grasp force, and holding keeps exactly that.
     np.testing.assert_allclose(held.torque, drive.torque, atol=1e-9)
     away = bench.theta + 0.01
     pushed = bench.step(theta=away, **given(bench)).torque
@@ -237,7 +237,7 @@ def test_disabled_means_damping_only_and_enabled_drives_again(bench):
 
 @pytest.mark.parametrize("silent", [False, True])
 def test_after_disabling_a_hold_keeps_neither_the_old_grasp_force_nor_the_old_posture(silent):
-    """Held, disabled, moved by hand, enabled: the fingers stay where the hand has put them."""
+    """Held, disabled, moved by hand, enabled: the fingers stay in their new posture."""
     bench = Bench(law__observer__time=0.02)
     bench.step(10, forces=FORCES)
     bench.controller.hold(bench.theta, REST, "silence")
@@ -324,7 +324,7 @@ def test_midpoint_hold_extrapolates_nothing_over_an_interruption(interrupt):
 
 @pytest.mark.parametrize("interrupt", [miss, idle])
 def test_a_smooth_reference_starts_again_from_where_the_grasp_is(interrupt):
-    """What was on its way before an interruption must not pull at the grasp after it."""
+    """An unfinished motion must not pull at the grasp after an interruption."""
     bench = Bench(reference_time=0.05)
     rest = bench.step().torque
     bench.controller.command(bench.target(0.05, 0.02, 0.0, turn=(0.0, 0.0, 0.2)))
@@ -337,7 +337,7 @@ def test_a_smooth_reference_starts_again_from_where_the_grasp_is(interrupt):
 
 
 def integral_torque(interrupt):
-    """Return the size of the integral action after 22 ticks with something in the middle."""
+    """Return the size of the integral action after 22 ticks with an event in the middle."""
     torques = []
     for gains in ({"law__integral__k_p": 1.0}, {}):
         bench = Bench(**gains)
@@ -364,7 +364,7 @@ def restart(bench):
 
 @pytest.mark.parametrize("interrupt", [silence, pause, restart])
 def test_nothing_is_integrated_over_an_interruption(interrupt):
-    """Ten silent seconds must not become ten seconds of integral action, nor a restart undo it."""
+    """Ten silent seconds add no integral action, and a restart does not remove it."""
     without = integral_torque(lambda bench: None)
     assert without > 1e-4
     assert integral_torque(interrupt) == pytest.approx(20 / 21 * without)
@@ -386,7 +386,7 @@ def test_gains_change_while_running(bench):
 
 
 def strained(interrupt=lambda bench: None):
-    """Return a controller in full use, with integral, load, reference and targets to come."""
+    """Return a controller with integral, load, reference and future targets."""
     bench = Bench(**EVERYTHING)
     bench.controller.command(bench.target(0.05, 0.0, 0.0, turn=(0.0, 0.0, 0.3)))
     bench.step(20, forces=FORCES)
@@ -402,7 +402,7 @@ def let_go(bench):
 
 @pytest.mark.parametrize("interrupt", [lambda bench: None, miss, idle, let_go])
 def test_reset_forgets_everything(interrupt):
-    """Whatever went before: from a reset on the answers are those of a new controller."""
+    """After a reset, the answers are those of a new controller, whatever came before."""
     bench, fresh = strained(interrupt), Bench(**EVERYTHING)
     bench.controller.command(bench.target(0.0, 0.05, 0.0), stamp=bench.stamp + 3 * TICK)
     bench.controller.reset()
@@ -421,7 +421,7 @@ def test_reset_forgets_everything(interrupt):
 
 @pytest.mark.parametrize("closing", [False, True])
 def test_open_fingers_stay_open_and_closing_ones_go_on_when_the_grasp_is_forgotten(closing):
-    """A real hand that forgot this could neither open nor close any more."""
+    """A real hand that forgot this could no longer open or close."""
     bench, fresh = strained(let_go), Bench(**EVERYTHING)
     if closing:
         bench.controller.grasp()
@@ -456,7 +456,7 @@ def test_reset_forgets_a_hold_with_its_posture_and_grasp_force():
 
 
 def test_after_a_reset_time_may_restart():
-    """A target for a tick to come waits for it, though there was a later tick before the reset."""
+    """A future target waits for its tick, even if a later tick came before the reset."""
     bench = strained()
     bench.controller.reset()
     bench.stamp = 0
@@ -468,7 +468,7 @@ def test_after_a_reset_time_may_restart():
 
 
 def test_a_new_grasp_keeps_nothing_of_the_old_one():
-    """Taken elsewhere and upside down: from the first tick on as if there had been no other."""
+    """Elsewhere and upside down: from its first tick on, it is treated like a first grasp."""
     bench, fresh = strained(let_go_and_take_again), Bench(**EVERYTHING)
     assert bench.step(contacts=bench.without_finger(0)).mode is Mode.OPEN
     fresh.stamp = bench.stamp
@@ -514,7 +514,7 @@ def test_a_release_starts_at_the_posture_of_the_grasp_without_its_grasp_force(ag
 
 
 def test_fingers_open_at_their_speed_and_make_up_for_no_more_than_50_ms(bench):
-    """The posture that is held, seen from the torques of a spring about a hand that stays."""
+    """The held posture, derived from the torques of a spring on a hand that does not move."""
     bench.step()
     bench.controller.release()
     hand, normals = bench.controller.hand, bench.contacts.normals
@@ -536,7 +536,7 @@ def test_fingers_open_at_their_speed_and_make_up_for_no_more_than_50_ms(bench):
 
 
 def test_an_interruption_of_the_opening_is_not_made_up_for():
-    """The fingers wait without touch, and after a reset they begin from where they are."""
+    """Without touch the fingers wait; after a reset they start from their present posture."""
     bench = Bench()
     bench.step()
     bench.controller.release()
@@ -552,7 +552,7 @@ def test_an_interruption_of_the_opening_is_not_made_up_for():
 
 
 def test_open_fingers_that_were_moved_while_disabled_do_not_spring_back(bench):
-    """They stay where they were put, and continue opening from there at their speed."""
+    """They stay in their new posture, and continue opening from there at their speed."""
     bench.step()
     bench.controller.release()
     bench.step(5)
@@ -568,7 +568,7 @@ def test_open_fingers_that_were_moved_while_disabled_do_not_spring_back(bench):
 
 @pytest.mark.parametrize("wound_up", ["integral", "reference"])
 def test_while_the_joints_are_held_nothing_winds_up(wound_up):
-    """After 400 held ticks the torque is that of the first one, and then it continues."""
+    """After 400 held ticks the torque equals the first one, and then changes continuously."""
     values = {"law__integral__k_p": 20.0} if wound_up == "integral" else {"reference_time": 0.1}
     bench = Bench(**values)
     bench.controller.command(bench.target(0.05, 0.0, 0.0))
@@ -584,7 +584,7 @@ def test_while_the_joints_are_held_nothing_winds_up(wound_up):
 
 
 def test_what_a_guard_carries_is_carried_from_the_first_tick_that_acts_again():
-    """A load observed slowly from then on would sag, and swing a light hand at a low rate."""
+    """A slowly observed load would sag, and make a light hand oscillate at a low rate."""
     light, heavy = np.array([[0.1, 3.0, 0.2]] * 3), np.array([[0.1, 5.0, -1.3]] * 3)
     settled, held = (Bench(law__observer__time=0.05) for _ in range(2))
     settled.step(800, forces=heavy)
@@ -600,7 +600,7 @@ def test_what_a_guard_carries_is_carried_from_the_first_tick_that_acts_again():
 
 
 def test_after_a_hold_the_reference_goes_on_where_and_as_fast_as_it_was():
-    """Many short holds would otherwise take its lead against a load each time."""
+    """Otherwise, many short holds would lose the reference's lead against a load each time."""
 
     def torques(held_ticks):
         bench = Bench(reference_time=0.1)
@@ -617,7 +617,7 @@ def test_after_a_hold_the_reference_goes_on_where_and_as_fast_as_it_was():
 
 @pytest.mark.parametrize("held", [False, True])
 def test_an_answer_without_an_input_is_withheld_where_a_guard_holds(held):
-    """A lost contact is no missing input: only the regulator's grasp force may get it back."""
+    """A lost contact is no missing input: only the regulator's grasp force may restore it."""
     bench = Bench()
     bench.step()
     bench.controller.joints_held = held
@@ -642,7 +642,7 @@ def test_inputs_that_do_not_fit_are_doubted_until_they_do():
 
 @pytest.mark.parametrize("end", ["open", "disabled"])
 def test_a_hand_that_is_open_or_disabled_doubts_nothing(end):
-    """What touch has to teach then would be refused for ever: no doubt ends without a grasp."""
+    """Otherwise touch would be rejected forever, because a doubt ends only with a grasp."""
     bench = Bench(input_timeout=0.1)
     bench.step()
     wrong = {"contacts": bench.elsewhere(11.0, 0.0, 0.0)}
@@ -654,7 +654,7 @@ def test_a_hand_that_is_open_or_disabled_doubts_nothing(end):
     assert bench.step(**wrong).mode is Mode(end) and not bench.controller.touch_rejected
     bench.controller.reset()
     bench.controller.enabled = True
-    assert bench.step(**wrong).do_not_send  # a doubt that is new
+    assert bench.step(**wrong).do_not_send  # a new doubt
 
 
 def test_a_grasp_force_that_rises_while_a_contact_is_lost_is_held_and_never_falls():
@@ -674,7 +674,7 @@ def test_a_grasp_force_that_rises_while_a_contact_is_lost_is_held_and_never_fall
 
 @pytest.mark.parametrize("again", [False, True])
 def test_a_new_controller_keeps_the_torque_that_another_has_left(again):
-    """Started, or reset, while a guard holds: nothing falls until its inputs are there."""
+    """After a start or reset during a hold, the object stays held until the inputs arrive."""
     bench, left = Bench(gravity_compensation=True), np.linspace(-0.4, 0.6, 9)
     if again:
         bench.step()

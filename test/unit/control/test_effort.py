@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The fraction of a grasp force that the joints can bear."""
+"""The fraction of a grasp force that the joint torques allow."""
 
 import numpy as np
 import pytest

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Forces that are not those of the motors are found, and blows and slow skins are none."""
+"""Forces that contradict the joint torques are detected; impacts and slow skins are accepted."""
 
 import numpy as np
 import pytest
@@ -24,13 +24,13 @@ FORCES = np.array([[0.3, 4.0, -0.2], [0.1, 2.5, 0.6], [-0.4, 3.0, 0.5]])
 
 
 def torque(forces):
-    """Return the joint torques at rest that press with forces in contact frames."""
+    """Return the joint torques at rest for forces in contact frames."""
     pressing = in_palm(CONTACTS.rotations, forces, 1.0)
     return joint_torques(*TERMS[0], CONTACTS.positions, pressing) + TERMS[2]
 
 
 def first_doubt(sensed, applied, ticks=100, latency=0.0):
-    """Return the tick at which forces and torques, functions of the tick, are first doubted."""
+    """Return the first tick at which forces and torques, functions of the tick, are doubted."""
     watch = ForceTorqueCheck(PLANT.hand)
     for tick in range(ticks):
         seen = sensed(tick), torque(applied(tick))
@@ -57,7 +57,7 @@ def test_forces_of_a_late_skin_are_compared_with_the_torques_of_their_time(late)
 
 
 def test_forces_that_are_later_than_the_skin_may_be_are_doubted():
-    """The torques of 15 ms ago are still accepted, those of 30 ms ago are not."""
+    """Torques from 15 ms ago are still accepted, those from 30 ms ago are not."""
     found = first_doubt(noisy, doubles(50), latency=0.015)
     assert 50 + 8 <= found <= 50 + 17
     halved = lambda tick: noisy(tick) / (1.0 if tick < 50 else 2.0)  # noqa: E731
@@ -66,7 +66,7 @@ def test_forces_that_are_later_than_the_skin_may_be_are_doubted():
 
 
 def test_one_finger_that_is_later_than_the_others_is_doubted():
-    """A finger whose skin is stuck while the grasp force grows: no time fits all three."""
+    """The skin of one finger freezes while the grasp force rises: no delay fits all three."""
 
     def grows(tick):
         return noisy(tick) * (4.0 if tick >= 50 else 1.0)
@@ -95,7 +95,7 @@ FLIPPED = np.array([[1.0] * 3, [1.0] * 3, [-1.0, 1.0, -1.0]])
 
 @pytest.mark.parametrize("factor", [ONE, WEAK, FLIPPED, np.array([-3.0, 3.0, -3.0]), 0.0])
 def test_forces_of_a_finger_or_all_that_are_wrong_are_doubted_within_some_ticks(factor):
-    """A finger that shows 0.3 of its force, or its friction with the wrong sign, is one of them."""
+    """For example, a finger that reports 0.3 of its force, or friction with the wrong sign."""
     strong = FORCES * [[1.0], [1.0], [1.0]] + [[0.0] * 3, [0.0] * 3, [1.2, 0.0, -1.5]]
     wrong = lambda i: (strong + noisy(i) - FORCES) * (factor if i >= 50 else 1.0)  # noqa: E731
     right = lambda i: strong + noisy(i) - FORCES  # noqa: E731
@@ -113,7 +113,7 @@ def test_a_finger_whose_error_is_below_the_tolerance_is_accepted(finger, joint, 
 
 
 def test_what_encoders_make_up_is_no_error():
-    """At a constant speed, rates that a step of 12 bits changes look like inertia."""
+    """At constant speed, rates from a 12-bit encoder look like inertia."""
     encoder = EncoderConfig(bits=12)
     joints, made = JointSensor(encoder, 0.0, 0.002, 1), JointRates(9)
     watches = ForceTorqueCheck(PLANT.hand), ForceTorqueCheck(PLANT.hand)
@@ -149,7 +149,7 @@ def test_a_force_that_repeats_is_doubted_when_the_torques_change_and_not_at_rest
 def turning(angle, imu, ticks=150, axis=(0.6, 0.0, 0.8)):
     """Return whether a finger is doubted as the palm turns by an angle, rad, at rest in it.
 
-    It is the inertia of the links that the joints carry, as much as the model says.
+    The joints carry the inertia of the links as given by the model.
     """
     hand, watch, last = Hand.load("paper"), ForceTorqueCheck(PLANT.hand), 0.3
     turns = [
@@ -171,7 +171,6 @@ def test_what_a_turning_palm_takes_of_the_joints_is_no_error_where_an_imu_shows_
 
 
 def test_an_imu_in_a_palm_at_rest_does_not_widen_the_tolerance():
-    """Nor does it after a turn."""
     watch = ForceTorqueCheck(PLANT.hand)
     for tick in range(300):
         palm = rotation_from_vector([0.02 * min(tick, 50), 0.0, 0.0])
@@ -193,7 +192,7 @@ def test_a_new_grasp_starts_without_a_past():
 
 
 def verdicts(seen, tolerance=0.3, watch=None, latency=0.0):
-    """Return what a watch says of ticks: stamp in ms, rates, model, forces and torque of each."""
+    """Return the verdicts on ticks: timestamp in ms, rates, model, forces and torque of each."""
     watch, limits = watch or ForceTorqueCheck(PLANT.hand), Tolerances(0.0, tolerance, latency)
     return [
         watch.step(round(1e6 * stamp), rates, terms, CONTACTS, forces, applied, limits)
@@ -206,7 +205,7 @@ def at_rest(stamps, forces, applied):
 
 
 def test_inertia_weight_and_the_time_between_ticks_count():
-    """Torques that accelerate the links and carry them are no press: all signs matter."""
+    """Torques that accelerate and carry the links are no contact forces: all signs matter."""
     hand = Hand.load("paper", gravity=np.array([10.0, -20.0, -90.0]))
     random, stamps = np.random.default_rng(2), (0.0, 2.0, 6.0, 7.0)
     before, seen = np.zeros(9), []
@@ -230,7 +229,7 @@ def test_a_tick_that_comes_again_or_is_older_says_nothing():
 
 
 def frozen(change, stamps, joint=3, latency=0.0):
-    """Return whether finger 2 is doubted, which repeats its force, after a change of a torque."""
+    """Return whether finger 2, which repeats its force, is doubted after a change of a torque."""
     base, seen = torque(FORCES), []
     for tick, stamp in enumerate((0.0, 1.0, *stamps)):
         applied = base + (change * np.eye(9)[joint] if tick > 1 else 0.0)
@@ -246,8 +245,8 @@ LIMIT = MINIMUM + 0.05 * np.abs(torque(FORCES)[3:6]).max()
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_a_finger_may_repeat_its_force_under_a_twentieth_more_torque_and_as_much_again(sign):
-    """And the torque of a hundredth of its weight, which moves nothing."""
-    stamps = (1000.0, 1001.0)  # the average has come there
+    """And under the torque of a hundredth of its weight, which moves nothing."""
+    stamps = (1000.0, 1001.0)  # the average has settled
     assert np.abs(torque(FORCES)).max() > 1.1 * np.abs(torque(FORCES)[3:6]).max()
     assert not any(frozen(0.999 * sign * LIMIT, stamps))
     assert frozen(1.001 * sign * LIMIT, stamps)[-1].startswith("the forces of a finger do not")
@@ -256,14 +255,14 @@ def test_a_finger_may_repeat_its_force_under_a_twentieth_more_torque_and_as_much
 
 @pytest.mark.parametrize(("latency", "last"), [(0.0, 6.0), (0.015, 36.0)])
 def test_a_finger_may_repeat_its_force_for_twice_its_age(latency, last):
-    """And the time of the average, 5 ms, from the tick on at which the comparison began, 1 ms."""
+    """Plus 5 ms for the average and 1 ms from the start of the comparison."""
     found = [frozen(1.0, (5.0, last + late), latency=latency)[-1] for late in (-0.1, 0.1)]
     assert [bool(each) for each in found] == [False, True]
 
 
 @pytest.mark.parametrize(("factor", "found"), [(0.999, False), (1.001, True)])
 def test_the_finest_of_all_changes_of_a_force_counts(factor, found):
-    """Once one component has changed by 1 mN, and later all of them by more."""
+    """One component changes by 1 mN first, and later all of them by more."""
     base = torque(FORCES)
     lever = np.linalg.norm(TERMS[0].linear[1], axis=0).max()
     limit = 0.01 * (np.abs(base[3:6]).max() + MINIMUM) + 3.0 * lever * 0.001

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Grasp maps, the checks of A5 and A7, and the friction that a contact needs."""
+"""Grasp maps, the checks of A5 and A7, and the required friction of a contact."""
 
 import numpy as np
 import pytest
@@ -28,7 +28,7 @@ LINE = np.array([[0.0, 0.0, 0.1], [0.1, 0.1, 0.1], [0.3, 0.3, 0.1]])
 
 @given(grasps(), vectors)
 def test_grasp_map_is_forces_in_contact_frames_and_their_moments(contacts, origin):
-    """About any origin it is (4), about the centroid (11); each contact has a frame of its own."""
+    """About any origin it is (4), about the centroid (11); each contact has its own frame."""
     expected = equations.grasp_map(contacts.positions, origin)
     found = grasp_map(contacts.positions - origin, contacts.rotations)
     for i, frame in enumerate(contacts.rotations):
@@ -118,12 +118,12 @@ def test_required_friction_of_known_forces():
 
 
 def thin(margin, extra=()):
-    """Return contacts nearly on a line, turned: a height h over three of them is a margin h/3^.5.
+    """Return rotated, nearly collinear contacts: height h over three gives a margin h/3^.5.
 
     Further ones lie on the line, at multiples of the half length.
     """
     along = np.array([-1.0, 1.0, 0.0, *extra])
-    # Second moments about the mean: of the line's places, and of the height at the third one.
+    # Second moments about the mean: of the places along the line, and of the third one's height.
     k, spread = len(along), ((along - along.mean()) ** 2).sum()
     height = margin * np.sqrt(spread / (1.0 - 1.0 / k))
     points = np.array([along, height * (np.arange(k) == 2), 0.0 * along]).T

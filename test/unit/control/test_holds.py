@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Holds are as stiff as the ticks allow, and stiff enough for hands of any size."""
+"""Holds are as stiff as the tick rate allows, and stiff enough for hands of any size."""
 
 import numpy as np
 import pytest
@@ -37,7 +37,7 @@ STILL = np.zeros(9)
 SPEED = np.linspace(-0.5, 0.5, 9)
 W = 250.0  # rad/s at ticks of 2 ms: 0.5 / T
 TIPS = HAND.fingertips(THETA)
-# Towards the middle of the tips: forces in balance that only press the tips together.
+# Towards the center of the tips: balanced forces that only press the tips together.
 INTERNAL = 8.0 * (TIPS.positions.mean(axis=0) - TIPS.positions)
 TOTAL = np.linalg.norm(INTERNAL, axis=1).sum()
 PRESSED = joint_torque(TIPS, INTERNAL)
@@ -54,7 +54,7 @@ def terms(theta, rates) -> JointTerms:
 @pytest.mark.parametrize("tick", [0.0005, 0.002, 0.01])
 @pytest.mark.parametrize(("lag", "resolution"), [(0.0, 0.0), (0.5, 1e-6)])
 def test_a_moving_free_hand_comes_to_rest_and_stays(tick, lag, resolution):
-    """Stable at every rate, also with rates that are half a tick late."""
+    """Stable at every rate, even with rates that are half a tick late."""
     made, theta, rates = hold(tick, resolution=resolution), THETA, SPEED
     made.engage(theta, rates, STILL)
     seen = rates
@@ -94,9 +94,9 @@ def test_braking_starts_without_a_step_of_the_torque_and_stops_in_a_spring():
 
 
 def factor_under(made, load: float, ticks: int = 200) -> float:
-    """Return how many times the first internal force the hold answers to a load on each tip [N].
+    """Return the hold's internal force under a load on each tip [N], relative to the first one.
 
-    The load has deflected the spring; its torque is taken off the answer.
+    The load has deflected the spring, whose torque is subtracted.
     """
     made.engage(THETA, STILL, PRESSED)
     model = terms(THETA, STILL)
@@ -126,7 +126,7 @@ def test_the_internal_force_ends_at_its_limit_and_at_the_joints():
 
 
 def test_what_an_encoder_cannot_tell_is_no_load():
-    """Angles that jump between two steps of 14 bits leave the internal force as it is."""
+    """Angles that jump between two 14-bit steps do not change the internal force."""
     step, random = 2.0 * np.pi / 2**14, np.random.default_rng(1)
     made = hold(reserve=0.0, resolution=step)
     made.engage(THETA, STILL, PRESSED)
@@ -159,7 +159,7 @@ def test_it_brakes_again_from_another_posture_with_the_internal_force_as_it_is()
 
 
 def test_a_finger_that_is_nearly_straight_is_not_asked_for_forces_that_no_joint_makes():
-    """Along it a torque of rounding would be a force of mega-newtons."""
+    """Along a straight finger, rounding errors of the torque would appear as meganewtons."""
     straight = THETA.copy()
     straight[2] = 1e-8
     assert np.abs(tip_forces(HAND.fingertips(straight), PRESSED)).max() < 50.0
@@ -175,12 +175,12 @@ def test_whatever_is_read_the_spring_is_finite(away, rate):
 
 
 def scaled(folder, scale, mass):
-    """Return `gravity` in another size, with links of a mass in kg, and a k_f of 20 N."""
+    """Return `gravity` in another size, with a link mass in kg and a k_f of 20 N."""
     return resized("gravity", scale, mass, 0.1, folder, {"slip_regulator.grasp_force": 20.0})
 
 
 def required(folder, scale, mass, force=18.0):
-    """Return the bandwidth that the paper's hand in another size needs."""
+    """Return the bandwidth that the paper's hand needs in another size."""
     plant = Plant(scaled(folder, scale, mass).plant)
     contacts = plant.state.contacts
     shape = ForceOptimizer(ForceOptimizerConfig(), 3).solve(contacts).forces
@@ -199,7 +199,7 @@ def test_what_a_grasp_needs_follows_from_force_lever_and_inertia(tmp_path):
 
 
 def stalled(folder, scale, mass, moment):
-    """Run a guarded loop until its commands stop at a moment, s; return it after one more."""
+    """Stop the commands of a guarded loop at a time, s; return it one second later."""
     chosen = scaled(folder, scale, mass)
     guarded = GuardedLoop(chosen)
     guarded.run(moment)
@@ -228,7 +228,7 @@ def test_the_lightest_hand_keeps_the_object(tmp_path):
 def test_a_grasp_that_the_controller_could_not_hold_is_warned_of_and_only_that(
     tmp_path, mass, warns
 ):
-    """At 1 kHz with torques three ticks late: 50 g a link are enough, 10 g are not."""
+    """At 1 kHz with torques three ticks late, 50 g per link are enough, 10 g are not."""
     chosen = scaled(tmp_path, 0.25, mass)
     guarded = GuardedLoop(chosen)
     guarded.run(0.5)
@@ -249,7 +249,7 @@ def test_a_grasp_that_the_controller_could_not_hold_is_warned_of_and_only_that(
 
 @pytest.mark.parametrize(("situation", "farthest"), [("heavy", 5e-3), ("moving", 4e-3)])
 def test_holds_what_is_heavy_and_what_moves_also_with_torques_three_ticks_late(situation, farthest):
-    """At 250 Hz: a spring that is too soft lets two fingers buckle."""
+    """At 250 Hz; a spring that is too soft lets two fingers buckle."""
     guarded = GuardedLoop(scenario(situation, "processes"))
     guarded.run(SITUATIONS[situation].time + 0.1)
     loop, controller = guarded.loop, guarded.loop.controller

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Rates from the angles of an encoder: right at every speed, quiet at rest."""
+"""Joint rates from encoder angles: right at every speed, zero at rest."""
 
 import numpy as np
 import pytest
@@ -8,7 +8,7 @@ from tactile_hand_ros.control.holds import JointRates
 
 STEP = 2.0 * np.pi / 2**14
 TICK = 1_000_000  # ns
-NONE = np.full(2, np.nan)  # what is measured must not matter
+NONE = np.full(2, np.nan)  # measured rates must not matter
 
 
 def rates_of(angles, tick=TICK, error=STEP):
@@ -29,21 +29,21 @@ def test_a_constant_speed_is_found_to_a_step_over_the_window(speed, tick):
 
 
 def test_an_angle_that_flickers_between_two_steps_is_at_rest():
-    """A filter of 100 Hz would report pulses of 0.18 rad/s."""
+    """A 100 Hz filter would report pulses of 0.18 rad/s."""
     random = np.random.default_rng(3)
     angles = 40 * STEP + STEP * random.integers(-1, 1, 500) + 0.5 * STEP
     assert np.abs(rates_of(angles)[64:, 0]).max() <= 1.01 * STEP / 0.063
 
 
 def test_a_start_is_seen_after_a_few_ticks():
-    """1 rad/s is nearly three steps a tick."""
+    """1 rad/s is nearly three steps per tick."""
     angles = 0.3 + np.maximum(0.0, 1e-3 * (np.arange(120) - 100))
     found = rates_of(angles)[:, 0]
     assert abs(found[100]) < 0.01 and found[104] == pytest.approx(1.0, abs=0.2)
 
 
 def test_the_lag_at_an_acceleration_is_that_of_the_window():
-    """20 rad/s^2: sqrt(8 e / a) = 12 ms, of which the slope is half late."""
+    """20 rad/s^2: sqrt(8 e / a) = 12 ms, and the slope lags by half of that."""
     times = 1e-3 * np.arange(300)
     late = 20.0 * times - rates_of(10.0 * times**2)[:, 0]
     assert 0.0 < late[100:].mean() < 20.0 * 0.5 * 0.0125 + STEP / 0.0125

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The laws (8), (10), (14) against their formulas, and the physics that follows from them."""
+"""The laws (8), (10), (14) against their formulas, and the resulting physics."""
 
 import numpy as np
 import pytest
@@ -20,7 +20,7 @@ GAINS = {"k_p": 3.0, "k_o": 0.5, "damping": 0.07, "k_st": 0.3, "r_ref": (0.1, -0
 
 
 class Grip:
-    """The paper's hand in some unsymmetric posture, touching along unsymmetric normals."""
+    """The paper's hand in an asymmetric posture, with asymmetric contact normals."""
 
     def __init__(self, seed=3):
         random = np.random.default_rng(seed)
@@ -73,7 +73,7 @@ def grip():
 
 
 def test_equations_14_and_10_to_the_letter(grip):
-    """Both drive by the error of the pose and damp; they press by f*, or towards the centroid."""
+    """Both drive by the pose error and damp; they press by f*, or towards the centroid."""
     points = grip.contacts.positions
     shift = grip.target.position - points.mean(axis=0)
     turn = rotation_error(points, grip.target.orientation)
@@ -85,7 +85,7 @@ def test_equations_14_and_10_to_the_letter(grip):
 
 
 def test_equation_8_to_the_letter(grip):
-    """Law (8) knows fingertips only: its centroid and frame are those of their centers."""
+    """Law (8) uses fingertips only: its centroid and frame are those of their centers."""
     tips = grip.tips.positions
     turn = rotation_error(tips, grip.target.orientation)
     expected = -0.07 * grip.rates
@@ -123,7 +123,7 @@ def test_other_gains_of_law_8_act_at_once(grip):
 
 
 def rigid_rates(grip, twist):
-    """Return the joint rates with which the contacts follow a twist of the grasp, (6)."""
+    """Return the joint rates at which the contacts follow a twist of the grasp, (6)."""
     points = grip.contacts.positions
     return np.linalg.solve(grip.jacobian, grasp_map(points, points.mean(axis=0)).T @ twist)
 
@@ -189,7 +189,7 @@ def test_integral_action_is_off_by_default_and_forgets_when_switched_off(grip):
 
 @pytest.mark.parametrize(("off", "part"), [("k_p", slice(0, 3)), ("k_o", slice(3, 6))])
 def test_either_integral_gain_may_be_switched_off_alone(grip, off, part):
-    """Its part is forgotten at the next tick; the other one continues unchanged."""
+    """Its part is cleared at the next tick; the other one continues unchanged."""
     gains = {"k_p": 2.0, "k_o": 0.4}
     law, both = integral_law(**gains), integral_law(**gains)
     target = offset(law, grip, (0.01, 0.03, -0.02), (0.2, 0.1, -0.1))
@@ -211,7 +211,7 @@ def test_either_integral_gain_may_be_switched_off_alone(grip, off, part):
 
 
 def test_integral_and_observed_load_are_carried_together(grip):
-    """Each as it would be alone: the integral of the error, and 1 - exp(-t / T) of the forces."""
+    """Each is as if alone: the integral of the error, and 1 - exp(-t / T) of the forces."""
     law = ManipulationLaw(LawConfig(integral={"k_p": 2.0}, observer={"time": 0.02}), RADII)
     target = offset(law, grip, (0.01, 0.0, -0.02))
     for _ in range(10):
@@ -222,7 +222,7 @@ def test_integral_and_observed_load_are_carried_together(grip):
     np.testing.assert_allclose(carry, grip.carrying(integral + load), atol=1e-11)
     blind = grip.torque("optimal", target, law).load_compensation
     np.testing.assert_allclose(blind, grip.carrying(1.1 * integral), atol=1e-11)
-    np.testing.assert_allclose(told, integral, atol=1e-12)  # what was told does not change
+    np.testing.assert_allclose(told, integral, atol=1e-12)  # returned arrays do not change later
 
 
 def test_the_observed_load_is_carried_without_integral_action(grip):
@@ -236,7 +236,7 @@ def test_the_observed_load_is_carried_without_integral_action(grip):
 
 
 def test_a_load_observer_that_is_switched_off_forgets(grip):
-    """Switched on again it begins without a load, not with one of long ago."""
+    """Switched on again, it starts without a load, not with an old one."""
     on = LawConfig(observer={"time": 0.02})
     law, fresh = ManipulationLaw(on, RADII), ManipulationLaw(on, RADII)
     for _ in range(20):
@@ -249,7 +249,7 @@ def test_a_load_observer_that_is_switched_off_forgets(grip):
 
 
 def test_reset_forgets_frame_integral_and_load(grip):
-    """A grasp may be taken upside down: the side of its plane is chosen again, along palm +z."""
+    """For an upside-down grasp, the side of its plane is chosen again, along palm +z."""
     config = LawConfig(integral={"k_p": 2.0, "k_o": 0.4}, observer={"time": 0.02})
     law, fresh = ManipulationLaw(config, RADII), ManipulationLaw(config, RADII)
     for _ in range(20):

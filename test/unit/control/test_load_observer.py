@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The load observer: a low-pass of the net contact force, within limits, deaf to lost forces."""
+"""The load observer: a low-pass of the net contact force, limited, ignoring lost forces."""
 
 import math
 
@@ -30,14 +30,14 @@ def net(forces=FORCES):
 
 
 def settled(config):
-    """Return an observer that has seen the same forces for a hundred time constants."""
+    """Return an observer after a hundred time constants with constant forces."""
     observer = LoadObserver()
     observer.step(config, GRIP, FORCES, 100.0 * config.time)
     return observer
 
 
 def test_a_step_is_met_as_by_a_low_pass():
-    """After n ticks 1 - exp(-n dt / T) of the step is there, however long the ticks are."""
+    """After n ticks it has 1 - exp(-n dt / T) of the step, for any tick length."""
     config = ObserverConfig(time=TIME, **UNLIMITED)
     for ticks, dt in ((1, DT), (25, DT), (200, DT), (10, 0.005), (1, TIME)):
         observer = LoadObserver()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Forces as load and internal force, what the cones get of them, and the k_f that holds."""
+"""Forces split into load and internal force, cones, and the k_f that holds."""
 
 import math
 
@@ -26,7 +26,7 @@ HEAVY = LIGHT._replace(load=np.array([[0.5, 0.2, -0.1], [0.1, 0.0, 0.5], [-0.2, 
 
 
 def parts_of(contacts, forces):
-    """Split forces that are given in contact frames."""
+    """Split forces in contact frames."""
     return split(contacts.positions, contacts.normals, in_palm(contacts.rotations, forces, 1.0))
 
 
@@ -44,7 +44,7 @@ def test_the_load_is_the_smallest_with_the_net_wrench_and_the_grasp_force_balanc
 
 
 def needed(load, shape, friction, turn=(0.5, -0.3, 1.1)):
-    """Return what holds a contact whose frame (x, n, z) is turned against the axes of forces."""
+    """Return the force that holds a contact whose frame (x, n, z) is rotated."""
     frame = rotation_from_vector(turn)
     return required_grasp_force(frame @ load, frame @ shape, frame[:, 1].copy(), friction)
 
@@ -53,15 +53,15 @@ def needed(load, shape, friction, turn=(0.5, -0.3, 1.1)):
     ("load", "shape", "friction", "expected"),
     [
         ((3.0, 0.0, 4.0), (0.0, 0.5, 0.0), 0.4, 25.0),  # 5 N sideways over 0.4 times a half
-        ((3.0, 1.0, 4.0), (0.0, 0.5, 0.0), 0.4, 23.0),  # a load that presses helps
-        ((0.0, -2.0, 0.0), (0.0, 0.5, 0.0), 0.4, 4.0),  # one that pulls must be overcome first
+        ((3.0, 1.0, 4.0), (0.0, 0.5, 0.0), 0.4, 23.0),  # a pressing load helps
+        ((0.0, -2.0, 0.0), (0.0, 0.5, 0.0), 0.4, 4.0),  # a pulling one must be overcome first
         ((0.3, 1.0, 0.2), (0.0, 0.5, 0.0), 0.4, 0.0),  # inside already
         ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 0.4, 0.0),  # nothing to hold
         ((1.0, 0.0, 0.0), (0.1, 0.5, 0.0), 0.4, 10.0),  # 1 + 0.1 k = 0.2 k
         ((1.0, 0.0, 0.0), (-0.1, 0.5, 0.0), 0.4, 10.0 / 3.0),  # 1 - 0.1 k = 0.2 k
-        ((1.0, 0.0, 0.0), (-0.6, 0.5, 0.0), 0.4, 1.25),  # passes through: 1 - 0.6 k = 0.2 k
+        ((1.0, 0.0, 0.0), (-0.6, 0.5, 0.0), 0.4, 1.25),  # crosses the cone: 1 - 0.6 k = 0.2 k
         ((1.0, 0.0, 0.0), (0.3, 0.5, 0.0), 0.4, math.inf),  # leads away from the cone
-        ((1.0, 0.0, 0.5), (-0.6, 0.5, 0.0), 0.4, math.inf),  # passes it by
+        ((1.0, 0.0, 0.5), (-0.6, 0.5, 0.0), 0.4, math.inf),  # misses the cone
         ((0.1, -1.0, 0.0), (0.3, 0.5, 0.0), 0.4, math.inf),  # from inside the mirrored cone
         ((1.0, 0.0, 0.0), (-0.6, -0.5, 0.0), 0.4, math.inf),  # through the mirrored cone
         ((1.0, 1.0, 0.0), (0.0, -0.5, 0.0), 0.4, math.inf),  # pulls
@@ -76,7 +76,7 @@ def test_the_grasp_force_that_holds_a_load_has_the_values_computed_by_hand(
 
 @given(st.floats(0.01, 9.0), st.floats(0.01, 1.0), st.floats(0.05, 1.5))
 def test_a_contact_that_is_pulled_straight_off_needs_just_that_much(pull, share, friction):
-    """The root is a double one, and rounding must not lose it."""
+    """The root is a double one, and must survive rounding."""
     found = needed((0.0, -pull, 0.0), (0.0, share, 0.0), friction)
     assert found == pytest.approx(pull / share, rel=1e-5)
 
@@ -87,7 +87,7 @@ def test_a_contact_that_is_pulled_straight_off_needs_just_that_much(pull, share,
     st.floats(0.05, 1.5),
 )
 def test_the_required_grasp_force_is_the_minimum_that_holds(load, shape, friction):
-    """How far inside the cone a force is, is concave in k: it holds on one interval or nowhere."""
+    """The distance to the cone is concave in k: the contact holds on one interval or never."""
     load, shape = np.array(load), np.array(shape)
     assume(abs(shape[0] ** 2 + shape[2] ** 2 - friction**2 * shape[1] ** 2) > 1e-2)
 
@@ -101,13 +101,13 @@ def test_the_required_grasp_force_is_the_minimum_that_holds(load, shape, frictio
     elif k < 1e-9:
         assert inside(k) >= -1e-9
     else:
-        # Where the force only grazes the cone, k is a double root, known to sqrt(eps) = 1.5e-8.
+        # Where the force only touches the cone, k is a double root, known to sqrt(eps) = 1.5e-8.
         assert inside(k) == pytest.approx(0.0, abs=3e-8 * (1.0 + k))
         assert inside(np.linspace(0.0, 0.999 * k, 100)).max() < 1e-9
 
 
 def made(steps, **values):
-    """Return f* after some ticks, each a stamp in ms, a load and a grasp force."""
+    """Return f* after ticks given by timestamp in ms, load and grasp force."""
     optimizer = ForceOptimizer(ForceOptimizerConfig(cones=True, shape_time=0.0, **values), 3)
     for at, carried, grasp_force in steps:
         found = optimizer.step(at * MS, GRASP, carried, grasp_force)
@@ -115,7 +115,7 @@ def made(steps, **values):
 
 
 def by_hand(beyond, carried, grasp_force):
-    """Return f* for what reaches beyond the pyramids, and the reserve, at 3/4 of a grasp force."""
+    """Return f* for forces beyond the pyramids, and the reserve, at 3/4 of a grasp force."""
     radii = carried.reserve * np.sqrt(1.0 + carried.friction**2)
     wanted = (beyond + INSIDE * radii[:, None]) / (0.75 * grasp_force)
     frames = grasp_frames(GRASP.positions, GRASP.rotations)
@@ -146,7 +146,7 @@ def test_f_is_made_for_less_grasp_force_than_there_is_and_for_a_reserve(grasp_fo
 
 
 def test_f_is_made_for_the_worst_of_the_recent_past_and_forgets_it():
-    """For each side of the pyramids the larger one, which fades to the present one."""
+    """For each side of the pyramids the larger one, which decays to the present one."""
     one, two = beyond(HEAVY), beyond(LIGHT)
     worst = np.maximum(two, two + math.exp(-0.5) * (one - two))
     assert (worst > two + 0.05).any() and (worst == two).any()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Margins of A1 to A7 on the paper's grasp, and on what breaks them."""
+"""Margins of A1 to A7 on the paper's grasp and its violations."""
 
 import numpy as np
 import pytest
@@ -43,7 +43,7 @@ def note(watch, stamp, contacts, grip=STICK, evidence=0.1, forces=HOLDS):
 
 @pytest.fixture(scope="module")
 def hand():
-    """Return a hand whose fingertips differ."""
+    """Return a hand with different fingertips."""
     config = load_hand_config("paper")
     fingers = zip(config.fingers, RADII, strict=True)
     changed = [finger.model_copy(update={"radius": float(r)}) for finger, r in fingers]
@@ -51,8 +51,8 @@ def hand():
 
 
 def leaning(hand, theta, angles):
-    """Return contacts of which each normal leans by its angle from where its fingertip points."""
-    ways = np.array([0.4, 2.5, -1.2])  # round the tip
+    """Return contacts whose normals lean by an angle from the axis of their fingertip."""
+    ways = np.array([0.4, 2.5, -1.2])  # around the tip
     sides = np.array([0.0 * ways, np.cos(ways), np.sin(ways)]).T
     local = np.cos(angles)[:, None] * [1.0, 0.0, 0.0] + np.sin(angles)[:, None] * sides
     tips, centers = hand.tip_rotations(theta), hand.tip_positions(theta)
@@ -95,7 +95,7 @@ def test_the_contact_nearest_to_the_rim_of_its_tip_counts(hand, worst):
     [([0.3, 0.1, 0.1], 9e-3), ([0.3, 0.2, 0.1], 12e-3), ([0.1, 0.1, 0.2], 1e-2)],
 )
 def test_the_longest_way_over_a_tip_counts_whatever_the_posture(hand, moved, travel):
-    """An arc of its own radius for each tip; a contact that turns with its finger goes nowhere."""
+    """The arc has the tip's own radius; a contact that turns with its finger does not travel."""
     angles, watch = np.array([0.6, 0.3, 0.9]), GraspMonitor(hand)
     bent = POSTURE + [0.1, -0.3, 0.2, 0.0, 0.2, -0.1, 0.3, 0.1, -0.2]
     watch.margins(POSTURE, leaning(hand, POSTURE, angles))
@@ -114,7 +114,7 @@ def test_travel_counts_from_the_first_contacts_until_one_is_lost(grasp):
     bent = theta.copy()
     bent[2] += 0.1  # turns the fingertip under its contact by 0.1 rad: 6 mm of 60
     assert watch.margins(bent, contacts).face_travel == pytest.approx(0.006, rel=0.05)
-    # Rolling round the axis of the tip leads to an edge of the face as well.
+    # Rolling around the axis of the tip also leads to an edge of the face.
     axis = Hand.load("paper").tip_rotations(theta)[0][:, 0]
     rolled = contacts.rotations.copy()
     rolled[0] = rotation_from_vector(0.1 * axis) @ rolled[0]
@@ -140,7 +140,7 @@ def test_of_four_fingers_three_are_watched_while_one_is_missing(tmp_path):
     others.margins(theta, Contacts(parted, frames).part(touching))
     apart = watch.margins(bent, Contacts(parted, frames))
     assert apart == others.margins(bent, Contacts(parted, frames).part(touching))
-    # Back again, its own way starts here; those of the others go on.
+    # The arc of a new contact starts here; those of the others continue.
     assert watch.margins(bent, Contacts(points, frames)).face_travel == apart.face_travel > 0.0
 
 
@@ -161,7 +161,7 @@ def test_the_worst_of_an_interval_is_reported_and_a_new_one_starts(grasp):
 
 
 def test_the_load_is_the_largest_net_force(hand):
-    """Squeezes cancel only where each force is turned out of its own contact frame."""
+    """Internal forces cancel only if each force is rotated out of its contact frame."""
     contacts = leaning(hand, POSTURE, np.array([0.6, 0.3, 0.9]))
     watch, net = SlipMonitor(), sum(r @ f for r, f in zip(contacts.rotations, HOLDS, strict=True))
     for scale in (0.5, 1.0, 0.7):
@@ -177,7 +177,7 @@ def test_the_load_is_the_largest_net_force(hand):
 
 @pytest.mark.parametrize("finger", range(3))
 def test_each_contact_is_judged_by_its_own_friction_and_evidence(grasp, finger):
-    """The two others are unknown."""
+    """The other two are unknown."""
     known = np.where(np.arange(3) == finger, STICK, LOOSE)
     watch, evidence = SlipMonitor(), np.array([0.2, 0.5, 0.9])
     note(watch, 0, grasp[1], grip=known, evidence=evidence)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A hand with more than three fingers holds with those that touch, and the others come back."""
+"""A hand with more than three fingers holds with the touching ones, and the others return."""
 
 import dataclasses
 
@@ -39,7 +39,7 @@ def scenario_of(folder, fingers, duration, changes, away=0.0):
 
 
 def ring(fingers, without=()):
-    """Return contacts of fingers around an upright cylinder; NaN for those without one."""
+    """Return contacts of fingers around an upright cylinder; NaN for missing ones."""
     angles = 2.0 * np.pi * np.arange(fingers) / fingers + 0.1
     outward = np.stack([np.cos(angles), np.sin(angles), 0.2 * np.cos(3.0 * angles)], axis=1)
     contacts = contacts_at(0.1 * outward, -outward)
@@ -85,7 +85,7 @@ def test_a_finger_that_starts_off_the_object_closes_while_four_hold(tmp_path):
 
 
 def test_an_obstacle_off_the_skin_is_pressed_softly(tmp_path):
-    """The skin of finger 1 fails while it holds: it lets go, and leans on the object."""
+    """The skin of finger 1 fails during the grasp: it opens and leans on the object."""
     loop = ClosedLoop(scenario_of(tmp_path, 4, 0.6, {}))
     record = Record.empty(600, loop.plant.hand.finger_names, loop.plant.hand.joint_names)
     step = loop.chain.sensor.step
@@ -140,7 +140,7 @@ def test_f_star_is_that_of_a_hand_with_just_the_fingers_that_touch(fingers, with
 
 
 def test_the_grasp_force_stays_where_the_others_need_no_more():
-    """Two fingers hold nearly all; one of the two that are left lets go."""
+    """Two fingers carry nearly all of the load; one of the other two opens."""
     regulator = SlipRegulator(SlipRegulatorConfig(mode="auto"), 4)
     forces = np.array([[0.0, x, 0.0] for x in (4.0, 0.2, 4.0, 0.2)])
     for tick in range(300):
@@ -169,7 +169,7 @@ def test_a_contact_that_flickers_leaves_the_others_their_reserve(every):
 
 
 def test_the_pose_and_the_carried_wrench_survive_a_change_of_the_fingers_that_touch():
-    """The wrench is about the centroid: as that moves, the torque changes, the load does not."""
+    """The wrench refers to the centroid: if it moves, the torque changes, but not the load."""
     config = LawConfig(k_p=1.0, k_o=1.0, integral={"k_p": 50.0, "k_o": 1.0, "force_limit": 9.0})
     law, contacts = ManipulationLaw(config, np.full(4, 0.01)), ring(4)
     tips = Fingertips(contacts.positions, np.zeros((4, 3, 12)), np.zeros((4, 3, 12)))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Joints, contacts and f* that do not fit each other are held against, not followed."""
+"""If joints, contacts and f* contradict each other, the controller holds."""
 
 import numpy as np
 import pytest
@@ -62,7 +62,7 @@ RADII = np.array([0.03, 0.06, 0.05])
 @pytest.mark.parametrize("finger", range(3))
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_a_contact_lies_its_own_radius_from_its_fingertip_along_its_normal(finger, sign):
-    """The farthest of all counts, in any direction, at the very limit."""
+    """The largest deviation counts, in any direction, up to the exact limit."""
     tips = HAND.fingertips(STATE.theta)
     on = tips.positions + RADII[:, None] * STATE.contacts.normals
     off = 0.004 * np.array([[0.6, 0.0, -0.8], [0.0, 1.0, 0.0], [0.8, 0.6, 0.0]])

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which poses a hand can carry its grasp to."""
+"""Poses to which a hand can carry its grasp."""
 
 import numpy as np
 import pytest
@@ -50,9 +50,9 @@ def test_joint_limits_are_kept():
 
 
 class Carried:
-    """A grasp that a rigid motion carries so that its fingertips come where they shall.
+    """A grasp carried by a rigid motion, so that its fingertips reach given places.
 
-    Fingertips, normals and the motion have no symmetry: the wrong way round, they come elsewhere.
+    Fingertips, normals and motion are asymmetric, so that any mix-up shows.
     """
 
     def __init__(self):
@@ -67,12 +67,12 @@ class Carried:
         self.tips = self.hand.fingertips(self.theta).positions
 
     def stretch(self, finger, beyond):
-        """Ask for a fingertip that is a distance beyond where the straight finger ends."""
+        """Request a fingertip position at a distance beyond the straight finger."""
         straight = self.theta.copy()
         straight[3 * finger + 2] = 0.0
         reached = self.hand.fingertips(straight)
         block = reached.linear[finger, :, 3 * finger : 3 * finger + 3]
-        outward = np.linalg.svd(block)[0][:, 2]  # where no joint can move it
+        outward = np.linalg.svd(block)[0][:, 2]  # no joint can move it this way
         outward *= np.sign(outward @ (reached.positions[finger] - self.tips[finger]))
         self.tips[finger] = reached.positions[finger] + beyond * outward
 
@@ -170,7 +170,7 @@ def test_a_refused_pose_is_written_in_whole_millimetres_without_a_sign_of_zero()
 
 
 def turned(name, degrees, duration):
-    """Return a loop of a scenario whose only target is a turn about palm z."""
+    """Return a loop of a scenario whose only target is a rotation about palm z."""
     scenario = load_scenario(name)
     contacts = ClosedLoop(scenario).state.contacts
     there = rotation_from_vector([0.0, 0.0, np.radians(degrees)])
@@ -189,7 +189,7 @@ def test_a_turn_that_rolls_a_contact_over_the_rim_is_refused(name, degrees):
 
 
 def test_a_move_ends_where_a_contact_nears_the_rim_and_may_go_back():
-    """What is known before is a few degrees off: this turn is accepted, and ends on its way."""
+    """The prediction is off by a few degrees: this rotation is accepted, but ends on its way."""
     loop = turned("human_hold", 41, 2.6)
     hand, watch = loop.controller.hand, GraspMonitor(loop.controller.hand)
     points = loop.state.contacts.positions
@@ -204,7 +204,7 @@ def test_a_move_ends_where_a_contact_nears_the_rim_and_may_go_back():
         if row == 2200:
             loop.controller.command(home)
         loop.advance(command.torque)
-    assert len(stops) == 1 and stops[0] < 2150  # and it stays there, until it goes back
+    assert len(stops) == 1 and stops[0] < 2150  # it stays there until it goes back
     assert margins[stops[0]] == pytest.approx(0.05 * np.pi, abs=0.02)
     assert 0.0 < margins[2200] < 0.2 and margins[-1] > margins[2200] + 0.1
     assert record.true_slid.max() < 1e-5
@@ -223,7 +223,7 @@ def test_fractions_are_left_to_the_rims_and_to_the_ends_of_the_joints():
         name = hand.finger_names[finger]
         theta[hand.joint_names.index(f"{name}_abduction")] = bent
         frames = hand.tip_rotations(theta)
-        normals = frames[:, :, 0].copy()  # as far from the rims as can be
+        normals = frames[:, :, 0].copy()  # as far from the rims as possible
         normals[finger] = np.cos(tilt) * frames[finger, :, 0] + np.sin(tilt) * frames[finger, :, 2]
         tips = hand.fingertips(theta).positions
         left = room(hand, theta, contacts_at(tips, normals))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What judging a pose costs, in postures that are looked at, since it is done inside a tick."""
+"""The cost of judging a pose, in evaluated postures, because it is done within a tick."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ SLIDING_FINGER = """
 
 @pytest.fixture
 def looks(monkeypatch):
-    """Return a list that gets the joint angles of each posture that a hand is asked for."""
+    """Return a list that collects the joint angles of each posture evaluated by a hand."""
     seen = []
     fingertips = Hand.fingertips
 
@@ -52,7 +52,7 @@ def looks(monkeypatch):
 
 @pytest.fixture
 def checks(monkeypatch):
-    """Return a list that gets each pose whose reach the controller has checked."""
+    """Return a list that collects each pose whose reach the controller has checked."""
     judged = []
 
     def counted(hand, theta, contacts, pose, target):
@@ -64,7 +64,7 @@ def checks(monkeypatch):
 
 
 class Grasp:
-    """The first grasp of a plant, and what the hand estimates of it."""
+    """The first grasp of a plant, and its estimate by the hand."""
 
     def __init__(self, world):
         self.hand, self.theta, self.contacts = world.hand, world.state.theta, world.state.contacts
@@ -81,11 +81,11 @@ class Grasp:
         try:
             self.check(*motion)
         except PoseError as error:
-            return "over the rim" in str(error)  # which the fingertips reach
+            return "over the rim" in str(error)  # the fingertips reach it
         return True
 
     def can_follow(self, shift, turn):
-        """Judge as it was once done: by a hundred steps, whether they lead anywhere or not."""
+        """Judge by a hundred steps, without stopping early."""
         tips = self.contacts.positions - self.hand.radii[:, None] * self.contacts.normals
         about = (tips - self.pose.position) @ rotation_from_vector(np.asarray(turn)).T
         wanted = self.pose.position + np.asarray(shift) + about
@@ -132,7 +132,7 @@ def test_the_present_pose_is_judged_by_one_look(grasp, looks):
 
 
 def test_a_search_that_leads_somewhere_gets_its_time(looks):
-    """This turn leads the fingers far around, along the ends of their joints."""
+    """This rotation leads the fingers far around, along their joint limits."""
     grasp = Grasp(plant())
     for ends, limit in zip(grasp.hand.position_limits, (-1.5708, 1.5708), strict=True):
         ends[1::3] = limit  # abduction
@@ -142,7 +142,7 @@ def test_a_search_that_leads_somewhere_gets_its_time(looks):
 
 
 def test_a_search_that_leads_nowhere_ends_early(looks):
-    """Behind the palm no tip is too far away, but the joints end before."""
+    """Behind the palm no tip is too far away, but the joint limits come first."""
     grasp, motion = Grasp(plant()), ((0.0, 0.0, -0.4), (0.0, 1.0, 0.0))
     with pytest.raises(PoseError, match=r"would stay \d+ mm short of its contact; ask"):
         grasp.check(*motion)
@@ -175,14 +175,14 @@ def test_a_sliding_joint_lengthens_its_finger_by_its_way(tmp_path):
 
 
 def test_fingers_with_joints_to_spare_are_solved_to_the_end(tmp_path):
-    """With all its damping gone, the system of a finger with six joints has no solution."""
+    """Without any damping, the system of a finger with six joints has no solution."""
     grasp = Grasp(Plant(load_scenario("paper", prism_grasp(tmp_path, [6, 5, 4, 3, 3])).plant))
     motion = (0.11, 0.13, -0.03), (0.0, 0.0, 0.0)
     assert grasp.can_follow(*motion) and grasp.is_in_reach(*motion)
 
 
 def wanted(bench):
-    """Return how far along x the grasp shall be, m."""
+    """Return the desired x of the grasp, m."""
     return bench.controller.targets.target.position[0] - bench.centroid[0]
 
 
@@ -221,7 +221,7 @@ def test_a_pose_that_is_said_again_and_again_is_judged_once(bench, checks):
 
 
 def test_one_tick_judges_one_pose_the_newest_first(bench, checks):
-    """All were said before the hand knew a grasp; the first in reach takes the place of older."""
+    """All poses came before the first grasp; the first one in reach replaces the older ones."""
     for shift in (0.01, 0.02):
         bench.controller.command(along(bench, shift))
     for _ in range(2):

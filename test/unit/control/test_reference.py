@@ -18,13 +18,13 @@ TARGET = Target(END, AFTER.as_matrix())
 
 
 def fraction(time):
-    """Return how far x'' = (1 - x) / T^2 - 2 x' / T has come from rest."""
+    """Return how far x'' = (1 - x) / T^2 - 2 x' / T has moved from rest."""
     return 1.0 - (1.0 + time / TIME) * np.exp(-time / TIME)
 
 
 @pytest.mark.parametrize("dt", [0.001, 0.002, 0.05, 0.4])
 def test_position_and_orientation_follow_a_critically_damped_spring_whatever_the_tick(dt):
-    """Also where a tick is longer than the time constant: a step by step sum would diverge."""
+    """Even if a tick is longer than the time constant, where explicit Euler would diverge."""
     reference = SmoothReference()
     for tick in range(1, round(1.0 / dt) + 1):
         found, share = reference.step(TARGET, NOW, TIME, dt), fraction(tick * dt)

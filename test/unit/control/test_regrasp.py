@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Letting go and taking again: the fingers leave the object, come back, and hold it as before."""
+"""Release and regrasp: the fingers leave the object, return, and hold it as before."""
 
 import numpy as np
 import pytest
@@ -16,7 +16,7 @@ from tactile_hand_ros.scenario.scenario import load_scenario
 
 @pytest.fixture(scope="module")
 def story():
-    """Hold for 0.5 s, let go for 1.5 s, and hold again; weightless, so that the cube waits."""
+    """Hold for 0.5 s, release for 1.5 s, and hold again; weightless, so that the cube waits."""
     changes = {
         "targets": [],
         "duration": 6.0,
@@ -66,7 +66,7 @@ DT = 0.05  # 1 mm at that speed
 
 
 class Fingers:
-    """Fingers that touched along unsymmetric normals, followed by the posture they shall have."""
+    """Fingers with asymmetric contact normals that follow their desired posture."""
 
     def __init__(self):
         self.hand = Hand.load("paper")
@@ -76,7 +76,7 @@ class Fingers:
         self.regrasp = Regrasp(CONFIG, self.hand)
 
     def touched_by(self, *fingers):
-        """Return contacts of the fingers that are named, and NaN of the others."""
+        """Return contacts of the named fingers, NaN for the others."""
         there = np.isin(np.arange(3), fingers)
         return Contacts(
             np.where(there[:, None], self.grip.positions, np.nan),
@@ -101,7 +101,7 @@ def fingers():
 def test_fingers_open_against_their_normals_and_close_beyond_the_contacts(fingers):
     fingers.regrasp.leave(THETA, fingers.grip)
     for ticks, depth in ((1, -1.0), (4, -5.0), (7, -12.0), (3, -12.0)):
-        # Whether they still touch makes no difference on the way out.
+        # While opening, contact makes no difference.
         np.testing.assert_allclose(fingers.depths(ticks, 0, 2), depth, atol=0.01)
     fingers.regrasp.close()
     for ticks, depth in ((1, -11.0), (11, 0.0), (7, 7.0)):

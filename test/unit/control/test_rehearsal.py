@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The made-up touch is a grasp with which every block can go through a tick."""
+"""The rehearsal's synthetic touch is a grasp that takes every block through a tick."""
 
 import numpy as np
 import pytest

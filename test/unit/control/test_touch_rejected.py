@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Inputs that are there and do not fit: held against, for how long, and what is forgotten."""
+"""Inconsistent inputs: the controller holds, for how long, and what it forgets."""
 
 import numpy as np
 import pytest
@@ -16,7 +16,7 @@ DO_NOT_FIT = "forces and joint torques do not fit"
 
 
 def pressing(bench, forces=FORCES):
-    """Return the joint torques at rest that press with forces in contact frames, shape (9,)."""
+    """Return the joint torques at rest for forces in contact frames, shape (9,)."""
     hand = bench.controller.hand
     press = in_palm(bench.contacts.rotations, forces, 1.0)
     weight = hand.gravity_torque(bench.theta)
@@ -24,7 +24,7 @@ def pressing(bench, forces=FORCES):
 
 
 def touch(bench, share=1.0):
-    """Return measured forces, and torques that press with a fraction of them."""
+    """Return measured forces, and the torques of a fraction of them."""
     return {"forces": FORCES, "applied": pressing(bench, share * FORCES)}
 
 
@@ -97,7 +97,7 @@ def retake(bench):
 
 @pytest.mark.parametrize("end", [lose, retake, lambda bench: bench.controller.forget()])
 def test_what_was_pressed_before_another_grasp_is_forgotten(end):
-    """The averages of the forces begin again; else the old ones would outweigh what fits now."""
+    """The force averages restart; the old ones would outweigh the new, consistent forces."""
     bench = doubting()
     bench.step(50, **touch(bench, 0.0))
     end(bench)
@@ -147,7 +147,7 @@ def test_a_law_without_optimal_forces_is_not_asked_for_their_sum():
 
 @pytest.mark.parametrize("risen", [False, True])
 def test_a_forgotten_grasp_force_raises_nothing(risen):
-    """The torque that a new controller takes over is kept as it is, whatever k_f is by now."""
+    """The torque inherited by a new controller is kept, whatever k_f is by now."""
     bench, left = Bench(), np.linspace(-0.4, 0.6, 9)
     bench.step()
     if risen:
@@ -172,7 +172,7 @@ def test_a_held_grasp_force_rises_as_far_as_the_joints_can_bear_and_keeps_its_sh
 
 
 def test_the_grasp_force_comes_before_the_drive_and_that_before_the_damping():
-    """Each gives way as a whole, but for the damping, of which each joint gives what it can."""
+    """Each is reduced as a whole, except the damping, which is limited per joint."""
     limits = Bench().controller.hand.effort_limits
     rates = np.linspace(-1.0, 1.5, 9)
 
@@ -195,7 +195,7 @@ def test_the_grasp_force_comes_before_the_drive_and_that_before_the_damping():
 
 
 def integrated(*pauses):
-    """Return the integral force after ticks with pauses between them, s, along the error."""
+    """Return the integral force along the error after ticks with pauses, s, between them."""
     bench = Bench(law__integral__k_p=1.0)
     bench.controller.command(bench.target(0.02, 0.0, 0.0))
     bench.step()

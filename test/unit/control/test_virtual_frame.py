@@ -83,7 +83,7 @@ def test_best_rotation_is_no_reflection():
 
 
 def test_fingers_in_a_row_against_a_thumb_are_a_grasp():
-    """The first three contacts lie on a line, all four do not: A7 holds."""
+    """The first three contacts are collinear, all four are not: A7 holds."""
     points = np.array([[0.1, 0.1, 0], [0.0, 0.1, 0], [-0.1, 0.1, 0], [0.0, -0.1, 0]])
     frame = VirtualFrame()
     start = frame.orientation(points)
@@ -120,7 +120,7 @@ def test_a_plane_that_stands_upright_keeps_the_side_of_its_normal():
 
 @pytest.mark.parametrize("margin", [0.099, 0.101])
 def test_the_first_three_of_more_contacts_lead_where_they_are_clear_of_a_line(margin):
-    """A tenth as thin as long is enough, though others stand better."""
+    """A width of a tenth of the length suffices, even if other contacts are better placed."""
     height = 0.1 * margin * np.sqrt(3.0)
     points = np.array([[-0.1, 0.0, 0.0], [0.1, 0.0, 0.0], [0.0, height, 0.0], [0.05, 0.2, 0.1]])
     assert collinearity_margin(points[:3]) == pytest.approx(margin, rel=0.02)

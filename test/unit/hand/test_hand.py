@@ -19,7 +19,7 @@ def mixed(tmp_path_factory):
 
 
 def random_posture(hand, seed=0):
-    """Return angles and rates away from any symmetry."""
+    """Return angles and rates without any symmetry."""
     random = np.random.default_rng(seed)
     return random.uniform(-1.2, 1.2, hand.joints), random.uniform(-2.0, 2.0, hand.joints)
 
@@ -41,7 +41,7 @@ def test_tips_of_the_paper_are_where_trigonometry_puts_them():
 
 
 def test_second_joint_turns_across_the_first_link():
-    """Joint 2 abducts about z of the frame that joint 1 has turned: perpendicular to link 1."""
+    """Joint 2 abducts about z of the frame rotated by joint 1: perpendicular to link 1."""
     hand = Hand.load("paper")
     theta = np.zeros(9)
     theta[:3] = [0.5, 0.3, 0.0]
@@ -106,7 +106,7 @@ def test_gravity_torque_is_the_slope_of_the_potential_energy():
 
 
 def edited(tmp_path, old, new, file="hand.urdf"):
-    """Write a good hand with one text replaced; return its YAML file."""
+    """Write a valid hand with one text replaced; return its YAML file."""
     path = write_hand(tmp_path, [3, 3, 3])
     text = (tmp_path / file).read_text()
     assert old in text
@@ -167,7 +167,7 @@ def test_angles_that_look_like_degrees_are_questioned(tmp_path):
 
 
 def test_joints_may_be_named_like_the_palm_or_a_tip(tmp_path):
-    """Joints and links have names of their own; Pinocchio keeps them in one list."""
+    """Joints and links have separate names, although Pinocchio keeps them in one list."""
     plain = Hand.load(edited(tmp_path, "f1_joint_1", "f1_joint_1")).fingertips(np.ones(9))
     for name in ("palm", "f1_tip"):
         hand = Hand.load(edited(tmp_path, "f1_joint_1", name))
@@ -176,7 +176,7 @@ def test_joints_may_be_named_like_the_palm_or_a_tip(tmp_path):
 
 
 def test_a_layout_without_an_origin_in_the_urdf_is_applied(tmp_path):
-    """A fixed joint without <origin> stands at the origin until a layout moves it."""
+    """A fixed joint without <origin> is at the origin until a layout moves it."""
     path = write_hand(tmp_path, [3, 3, 3])
     urdf = tmp_path / "hand.urdf"
     text = urdf.read_text().replace('<origin xyz="0.3 0.0 0" rpy="0 0 0.0"/>', "")
@@ -227,7 +227,7 @@ def test_chains_have_a_place_for_each_joint_and_the_tip(mixed):
 
 
 def test_inertias_that_are_nearly_singular_are_refused(tmp_path):
-    """A link of a trillionth of the mass behind its joint can be moved by nothing."""
+    """A link with a trillionth of the mass behind its joint makes the dynamics singular."""
     path = write_hand(tmp_path, [3, 3, 3])
     urdf = tmp_path / "hand.urdf"
     text, count = urdf.read_text(), 0
@@ -242,7 +242,7 @@ def test_inertias_that_are_nearly_singular_are_refused(tmp_path):
 
 
 def test_a_tip_on_the_first_link_grows_with_it(tmp_path):
-    """Which body has which number is no matter: only what stands still keeps its place."""
+    """The numbering of bodies is irrelevant: only fixed bodies keep their place."""
     mount = '<parent link="f1_link_{}"/><child link="f1_tip"/>'
     path = edited(tmp_path, mount.format(3), mount.format(1))
     plain, long = Hand.load(path), Hand.load(path, link_lengths=2.0)
@@ -253,7 +253,7 @@ def test_a_tip_on_the_first_link_grows_with_it(tmp_path):
 
 
 def test_energies_and_weights_are_those_of_the_posture_that_is_asked_for(mixed):
-    """Pinocchio's arrays are shared: no answer may depend on the one before."""
+    """Pinocchio's arrays are shared: no result may depend on the previous one."""
     (theta, rates), (other, faster) = random_posture(mixed, 1), random_posture(mixed, 2)
     asked = {
         "kinetic_energy": (theta, rates),
@@ -281,7 +281,7 @@ def test_a_joint_that_slides_makes_its_finger_longer_by_its_own_way(tmp_path):
 
 
 def test_links_and_tips_of_other_sizes_swing_with_longer_levers(tmp_path):
-    """Twice as long, the same masses: gravity has twice the lever, also about the first joint."""
+    """With twice the lengths and the same masses, gravity has twice the lever at every joint."""
     path, down = str(write_hand(tmp_path, [3, 4, 5])), np.array([0.0, 0.0, -9.81])
     plain = Hand.load(path, gravity=down)
     long = Hand.load(path, gravity=down, link_lengths=2.0, tip_radii=1.5)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a URDF may hold: the limits themselves, and what a layout moves."""
+"""Valid URDF content: joint limits, and the parts that a layout moves."""
 
 import xml.etree.ElementTree as ElementTree
 
@@ -27,7 +27,7 @@ def link(moments=None, mass="1", inertial=""):
 
 
 def chain(names, kinds, inside=""):
-    """Return links one behind the other, joined by joints of these names and types."""
+    """Return a serial chain of links with joints of given names and types."""
     links = "".join(f'<link name="l{i}"/>' for i in range(len(names) + 1))
     return links + "".join(
         f'<joint name="{name}" type="{kind}"><parent link="l{i}"/><child link="l{i + 1}"/>'
@@ -97,7 +97,7 @@ def turned(moments, seed):
     ("moments", "message"),
     [
         ([1.0, 2.0, 3.0], ""),
-        ([1.0, 2.0, 3.029], ""),  # one in a hundred of the largest may be left out in print
+        ([1.0, 2.0, 3.029], ""),  # rounding may remove one percent of the largest
         ([1.0, 2.0, 3.032], "none above the sum"),
         ([-0.9e-9, 1.0, 1.0], ""),
         ([-1.1e-9, 1.0, 1.0], "none below 0"),

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What regulator, optimizer and controller publish for ticks, services, commands and parameters."""
+"""What regulator, optimizer and controller publish after ticks, services, commands, parameters."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ def tick(node: Any, stamp: int, forces: Any = PUSH, **changes: Any) -> Any:
 
 
 def asked(messages: list[Any]) -> list[tuple[str, str, int]]:
-    """Return name, value and stamp of requests."""
+    """Return name, value and timestamp of requests."""
     found = [(message.status[0], stamp_to_ns(message.header.stamp)) for message in messages]
     return [(status.message, status.values[0].value, stamp) for status, stamp in found]
 
@@ -212,7 +212,7 @@ def _of(value: float) -> Any:
 
 
 def test_a_late_regulator_uses_the_ticks_that_it_does_not_answer(here: Process) -> None:
-    """A slip shows in the samples in a row."""
+    """A slip shows in consecutive samples."""
     whole, late = here.make(SlipRegulatorNode), here.make(SlipRegulatorNode)
     sent, forces = tapped(late), [PUSH * (1.0 + 0.1 * np.sin(row)) for row in range(30)]
     for row, force in enumerate(forces):
@@ -291,7 +291,7 @@ def test_an_answer_that_is_better_not_sent_is_sent_when_time_waits_for_it(here: 
     command = tick(node, 3 * TICK, contacts=ODD)
     assert command.do_not_send and len(sent["joint_command"]) == 3
     assert node.touch_rejected
-    node.on_repeat()  # time stands still
+    node.on_repeat()  # the same tick again
     assert torque(sent)[0] == 3 * TICK
     np.testing.assert_array_equal(torque(sent)[1], command.torque)
     assert not tick(node, 4 * TICK, contacts=ODD).do_not_send
@@ -380,7 +380,7 @@ def test_of_too_many_poses_for_later_the_earliest_are_dropped(here: Process) -> 
 
 
 def receive(node: Any, message: PoseStamped) -> None:
-    """Let the node take a desired pose."""
+    """Send a desired pose to the node."""
     (found,) = (s for s in node.subscriptions if s.topic_name == f"/{names.DESIRED_POSE}")
     found.callback(serialize_message(message))
 

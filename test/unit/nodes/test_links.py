@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Each node subscribes to what its configuration uses, and publishes each tick what others need."""
+"""Each node subscribes to its inputs and publishes the outputs that others need, once per tick."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ RECEIVED = {
         *map(names.optimal_force, FINGERS),
     },
 }
-"""What each node subscribes to in the paper's scenario."""
+"""The subscriptions of each node in the paper's scenario."""
 
 EACH_TICK = {
     names.PLANT: {

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Changes of mode are logged, a flood of them is not."""
+"""Changes of mode are logged, with a rate limit."""
 
 from tactile_hand_ros.nodes.common import ModeLog
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A replay in this process: what is published, when, from where on, and how often."""
+"""An in-process replay: what is published, when, from which time on, and how often."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def bag(tmp_path: Path) -> Path:
 
 
 class Player:
-    """A replay and what its publishers are given, with the time."""
+    """A replay, the messages of its publishers, and the time."""
 
     def __init__(self, replay: Replay) -> None:
         self.replay = replay
@@ -167,7 +167,7 @@ def test_publishers_offer_what_all_recorded_ones_offered(
     [
         ("--rate=0", "expected a number above 0"),
         ("--exclude=(", "not a valid regular expression"),
-        ("--law=contact", "expected --recompute too"),
+        ("--law=contact", "--law is set without --recompute"),
         ("--namespace=1x", "the namespace is '1x'"),
     ],
 )

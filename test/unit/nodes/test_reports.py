@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What nodes put into their diagnostics: facts of the last tick, faults while they last."""
+"""The diagnostics of nodes: facts of the last tick, and faults while they last."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def values(diagnostics: Diagnostics) -> dict[str, str]:
 
 
 def optimum() -> OptimalForces:
-    """Return the answer to a grasp that has one."""
+    """Return a solution of the optimizer."""
     return ForceOptimizer(CONFIG, 3).solve(CONTACTS)._replace(solve_time=0.999999)
 
 
@@ -69,7 +69,7 @@ def test_ticks_without_an_answer_are_a_fault_with_their_reason_until_there_is_on
 
 
 def test_f_outside_the_usable_cones_at_most_ticks_is_told_with_the_worst_margin() -> None:
-    """A blink is no reason to warn."""
+    """A short violation is no reason to warn."""
     diagnostics, optimal = Diagnostics("node"), optimum()
     report = OptimizerReport(diagnostics)
     depth = -0.07
@@ -92,7 +92,7 @@ def test_f_outside_the_usable_cones_at_most_ticks_is_told_with_the_worst_margin(
 
 @dataclass
 class Regulator:
-    """What the report asks of a regulator."""
+    """The parts of a regulator that the report reads."""
 
     config: SlipRegulatorConfig
     needed: float = 5.0
@@ -169,7 +169,7 @@ def test_the_largest_required_grasp_force_is_reported_once() -> None:
 
 
 class ControllerNode:
-    """A node as its report sees it."""
+    """The parts of a node that its report reads."""
 
     def __init__(self) -> None:
         self.diagnostics = Diagnostics("controller")
@@ -197,7 +197,7 @@ def test_each_change_of_mode_is_a_line_and_a_hold_a_fault_while_it_lasts() -> No
         (command(Mode.DRIVE), OK, state.contacts),
         (command(Mode.HOLD, "no contact"), ERROR, state.contacts),
         (command(Mode.DRIVE), OK, state.contacts),
-        (command(Mode.HOLD, "no touch"), OK, None),  # that inputs are missing is known already
+        (command(Mode.HOLD, "no touch"), OK, None),  # missing inputs are reported elsewhere
         (command(Mode.OPEN, "asked to"), WARN, state.contacts),
         (command(Mode.DISABLED, "asked to"), WARN, state.contacts),
         (command(Mode.DRIVE), OK, state.contacts),
@@ -210,9 +210,9 @@ def test_each_change_of_mode_is_a_line_and_a_hold_a_fault_while_it_lasts() -> No
         "drive -> hold: no touch",
         "hold -> open: asked to",
         "open -> disabled: asked to",
-    ]  # no more than five a second
+    ]  # no more than five per second
     assert node.rejected == []
-    for _ in range(2):  # a pose for later whose time has come, and that is out of reach
+    for _ in range(2):  # a pose for later that is out of reach when its time has come
         report.note(command(Mode.DRIVE, "out of reach"), state.theta, state.contacts)
     assert node.rejected == [(names.DESIRED_POSE, "out of reach")]
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the sensor publishes of true contacts, and what the plant makes of commands."""
+"""The sensor's messages for true contacts, and the plant's reaction to commands."""
 
 from __future__ import annotations
 
@@ -92,7 +92,7 @@ def test_a_plant_that_holds_says_why(here: Process) -> None:
 
 
 def test_who_comes_late_still_gets_the_description_of_the_hand(here: Process) -> None:
-    """Though it is published once, before anybody listens."""
+    """It is published once, before any subscriber exists."""
     here.make(PlantNode, composed=False, autostart=False)
     latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
     here.receive(String, names.ROBOT_DESCRIPTION, latched)

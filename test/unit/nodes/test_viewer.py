@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The viewer shows the newest of what it was sent, each marker in its place, and no guess."""
+"""The viewer shows the newest data, each marker in its place, without guessing."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ FORCES = np.array([[1.0, 4.0, -2.0], [0.5, -1.0, 0.25], [0.0, 0.0, 0.0], [3.0, 8
 
 
 def drawn(forces: Any) -> dict[str, dict[int, Marker]]:
-    """Return the markers of contacts in a row, by namespace and finger."""
+    """Return the markers of successive contacts, by namespace and finger."""
     places = [np.array([i, i + 0.25, i + 0.5]) for i in range(len(forces))]
     contacts = [Frame(f"c{i}", place, TURN) for i, place in enumerate(places)]
     found: dict[str, dict[int, Marker]] = {}
@@ -64,7 +64,7 @@ def at(number: int) -> list[float]:
 
 def test_a_force_is_an_arrow_and_the_strongest_is_twelve_centimetres_long() -> None:
     arrows = drawn([*FORCES, FORCES[0]])["forces"]
-    assert sorted(arrows) == [0, 1, 3, 4]  # where nothing is felt there is none
+    assert sorted(arrows) == [0, 1, 3, 4]  # no arrow without a force
     for i, arrow in arrows.items():
         start, end = points(arrow)
         assert not start.any()
@@ -90,7 +90,7 @@ KINDS = {
 
 
 class Stage:
-    """A viewer, and what it is sent and shows."""
+    """A viewer, its input and its markers."""
 
     def __init__(self, context: Any) -> None:
         one_face = [Parameter("object.friction", value=0.5)]
@@ -166,7 +166,7 @@ def test_what_is_no_measurement_is_not_shown(stage: Stage) -> None:
 
 
 def test_a_best_effort_publisher_is_shown_and_wakes_nobody(stage: Stage) -> None:
-    """A QoS event that no executor takes would keep it awake, also after the publisher has left."""
+    """An untaken QoS event would keep the executor awake, even after the publisher has left."""
     stage.watch()
     profile = QoSProfile(depth=10, reliability=QoSReliabilityPolicy.BEST_EFFORT)
     driver = stage.node.create_publisher(PoseArray, "tactile/contacts", profile)
@@ -193,7 +193,7 @@ def test_the_reliability_of_what_is_shown_can_be_overridden() -> None:
 def test_with_tf2_contacts_and_object_are_transforms(
     stage: Stage, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """tf2_msgs is not among the wheels: the message is one with the field of the same name."""
+    """tf2_msgs is not among the wheels: a message with the same field replaces it."""
     sent: list[Any] = []
     assert stage.viewer._tf is None
     values = {pair.key: pair.value for pair in stage.viewer.diagnostics.status().values}
@@ -202,7 +202,7 @@ def test_with_tf2_contacts_and_object_are_transforms(
     stage.viewer._tf = SimpleNamespace(publish=sent.append)
     stage.send("ground_truth/object_pose", pose_message([1.0, 0.0, 0.0], STRAIGHT, 5))
     stage.viewer.show()
-    assert sent == []  # no contacts, no stamp
+    assert sent == []  # no contacts, no timestamp
     stage.send("tactile/contacts", contacts_message(TOUCH, TURNS, 1_500_000_000))
     stage.viewer.show()
     (message,) = sent

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From the options to the exit code: what is refused, and that nothing is started then."""
+"""From options to exit code: rejected input, for which nothing is started."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ def test_a_second_run_in_the_same_place_is_refused(tmp_path: Path) -> None:
 
 @pytest.fixture
 def interrupted() -> Iterator[Signals]:
-    """Return signals of which one has come."""
+    """Return signals after a first signal."""
     before = {n: signal.getsignal(n) for n in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
     signals = Signals()
     signals.install()
@@ -92,7 +92,7 @@ def test_a_signal_before_the_start_leaves_no_directory(
 
 @pytest.mark.parametrize("place", ["/locked_by_a_test", f"/{'a' * 200}"])
 def test_one_run_has_a_domain_and_namespace_until_it_ends(place: str) -> None:
-    """Also a namespace that is longer than the name of a socket."""
+    """Even a namespace that is longer than a socket name may be."""
     with (
         single_run_lock(231, place),
         single_run_lock(230, place),

@@ -36,7 +36,7 @@ def node(context: Context) -> Iterator[Node]:
 
 
 def all_matched(*, composed: bool = False, recorder: bool = False) -> Facts:
-    """Return what nodes report when all have matched: two topics, and commands of a user."""
+    """Return the reports of fully matched nodes: two topics, and commands of a user."""
     inside, taps = int(not composed), int(recorder)
     contacts, clock, pose = (f"{HAND}/{t}" for t in ("contacts", "clock", names.DESIRED_POSE))
     facts = {

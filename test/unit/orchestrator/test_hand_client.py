@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One command to a hand: it arrives, and its own answer comes back, also while others steer."""
+"""A user command: it arrives, and its own answer returns, even while others steer."""
 
 from __future__ import annotations
 
@@ -33,12 +33,12 @@ OTHER = pose_message((9.0, 9.0, 9.0), np.eye(3), 1)
 
 
 class Hand:
-    """What a user meets of a hand: commands are accepted or refused as the test says."""
+    """A user's view of a hand that accepts or rejects commands as configured."""
 
     def __init__(self, context: Context, namespace: str, *, plant: bool) -> None:
         self.node = node = Node("hand", context=context, namespace=namespace)
-        self.reason: str | None = ""  # why commands are refused, empty if they are accepted
-        self.ignored = 0  # commands of which the answer is lost
+        self.reason: str | None = ""  # why commands are rejected, empty if they are accepted
+        self.ignored = 0  # number of commands whose answer is lost
         self.poses: list[PoseStamped] = []
         self.forces: list[float] = []
         self.calls: list[tuple[str, Any]] = []
@@ -81,7 +81,7 @@ class Hand:
         )
 
     def _answer(self, topic: str, accepted: Any, other: Any) -> None:
-        """Publish what became of a command, behind the answer to another user."""
+        """Publish the answer to a command after the answer to another user."""
         self._answers[topic].publish(other)
         if self.ignored:
             self.ignored -= 1
@@ -126,7 +126,7 @@ def served(context: Context) -> Iterator[dict[str, Hand]]:
 
 @pytest.fixture
 def hand(served: dict[str, Hand]) -> Hand:
-    """Return the simulated hand, as if nothing had happened to it."""
+    """Return the simulated hand in its initial state."""
     for each in served.values():
         each.reason, each.ignored = "", 0
         each.poses, each.forces, each.calls = [], [], []
@@ -152,7 +152,7 @@ def test_a_pose_is_asked_for_once_and_may_keep_the_orientation_of_the_grasp(
     sent = [q.x, q.y, q.z, q.w]
     assert np.isnan(sent).all() == (turn is None)
     assert turn is None or (Rotation.from_quat(sent) * wanted.inv()).magnitude() < 1e-9
-    assert (message.header.stamp.sec, message.header.stamp.nanosec) == (0, 0)  # from now on
+    assert (message.header.stamp.sec, message.header.stamp.nanosec) == (0, 0)  # immediately
 
 
 def test_a_force_has_the_time_at_which_it_takes_effect(hand: Hand, client: HandClient) -> None:
@@ -187,10 +187,10 @@ def test_a_refusal_says_why(hand: Hand, client: HandClient) -> None:
         lambda: client.grasp_force(7.0),
         lambda: client.grasp(True),
     ):
-        with pytest.raises(SteeringError, match="the hand refuses: too far$"):
+        with pytest.raises(SteeringError, match="the hand rejects the command: too far$"):
             command()
     hand.reason = None
-    with pytest.raises(SteeringError, match="the hand refuses: without a reason$"):
+    with pytest.raises(SteeringError, match="the hand rejects the command: no reason given$"):
         client.grasp_force(7.0)
 
 
@@ -217,7 +217,7 @@ def test_a_real_hand_begins_with_its_present_grasp(
 def test_a_hand_that_is_paused_does_not_answer(
     hand: Hand, client: HandClient, context: Context
 ) -> None:
-    client.grasp_force(1.0)  # by now everything has been found
+    client.grasp_force(1.0)  # now everything has been discovered
     hand.ignored, hand.forces = 100, []
     with graph_node(context, "user", "/") as node:
         with pytest.raises(SteeringError, match="has not answered within 0.5 s; is it paused?"):
@@ -227,7 +227,7 @@ def test_a_hand_that_is_paused_does_not_answer(
 
 @pytest.fixture
 def half(context: Context) -> Iterator[Node]:
-    """Return a node where a part of a hand may be."""
+    """Return a node for an incomplete hand."""
     node = Node("half", context=context, namespace="/half")
     yield node
     node.destroy_node()
@@ -236,7 +236,7 @@ def half(context: Context) -> Iterator[Node]:
 def test_nothing_is_reset_before_the_controller_is_there_and_the_sender_of_joints_is_known(
     half: Node, context: Context
 ) -> None:
-    """With a plant that is discovered late, half of a reset would be reported as a reset."""
+    """If the plant is discovered late, a partial reset must not be reported as a reset."""
     called: list[str] = []
 
     def answer(name: str) -> Callable[[Any, Trigger.Response], Trigger.Response]:
@@ -253,7 +253,7 @@ def test_nothing_is_reset_before_the_controller_is_there_and_the_sender_of_joint
             HandClient(node, 0.3).reset()
         for name in (names.CONTROLLER, names.REGULATOR):
             half.create_service(Trigger, f"{name}/reset", answer(name))
-        with pytest.raises(SteeringError, match="nothing publishes joint_states"):
+        with pytest.raises(SteeringError, match="joint_states has no publisher"):
             HandClient(node, 3.0).reset()
         assert called == []
         plant = Node(names.PLANT, context=context, namespace="/half")
@@ -264,7 +264,7 @@ def test_nothing_is_reset_before_the_controller_is_there_and_the_sender_of_joint
 
 
 def test_without_a_hand_there_is_one_sentence(context: Context) -> None:
-    """It says where none was found."""
+    """It names the domain and namespace."""
     domain = context.get_domain_id()
     absent = f"no hand is running in ROS domain {domain} and namespace '/nowhere'"
     with graph_node(context, "user", "/nowhere") as node:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A monitor takes the newest messages of a hand, over real DDS in this process, when asked."""
+"""A monitor takes the newest messages of a hand on demand, over in-process DDS."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ PLANT, CONTROLLER, REGULATOR = (
 
 
 class Hand:
-    """Publishes what the nodes of a hand would publish."""
+    """Publishes the messages of a hand's nodes."""
 
     def __init__(self, node: Node) -> None:
         self.node = node

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Processes end in order, by ever harder signals, and say how they died."""
+"""Processes stop in order, by ever stronger signals, and report how they died."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from tactile_hand_ros.ros.processes import executable_directory, wait_until
 
 STUBBORN = "trap '' INT TERM; echo ready; while :; do read line < /dev/zero; done"
 POLITE = "trap 'exit 0' INT; echo ready; while :; do tail -f /dev/null & wait; done"
-# Leaves a child behind that ignores the signals.
+# Starts a child that ignores the signals.
 PARENT = "(trap '' INT TERM; exec tail -f /dev/null) & echo ready; trap 'exit 0' INT; wait"
 
 
@@ -52,7 +52,7 @@ def _is_ours(process: psutil.Process, folder: Path) -> bool:
 
 @pytest.fixture(autouse=True)
 def marked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    """Let the processes of a test be told from all others, and insist that none is left."""
+    """Mark the processes of a test, and assert that none is left."""
     monkeypatch.setenv("RUN_OF_TEST", str(tmp_path))
     yield
 
@@ -81,7 +81,7 @@ def test_stubborn_process_is_killed_and_named(
     with shells(mule=STUBBORN) as processes:
         started(processes, tmp_path, "mule")
         [complaint] = processes.stop([["mule"]])
-        assert complaint.startswith(f"mule did not end well: code -{signal.SIGKILL}")
+        assert complaint.startswith(f"mule did not stop cleanly: code -{signal.SIGKILL}")
 
 
 def test_children_of_a_process_end_with_it(tmp_path: Path) -> None:
@@ -139,7 +139,7 @@ with Processes(command=lambda name, guard: [*guard, *programs[name]]) as process
 
 
 def test_nothing_outlives_a_killed_orchestrator_and_the_recorder_finishes(tmp_path: Path) -> None:
-    """Not even a node that is suspended; a recorder gets the signal that lets it finish its bag."""
+    """Not even a suspended node; a recorder receives a signal that lets it finish its bag."""
     with CapturedProcess([sys.executable, "-c", ORPHANS, tmp_path]) as orchestrator:
         orchestrator.wait_for_output("started")
         ready = tmp_path / "recorder.log"
@@ -158,7 +158,7 @@ def test_nothing_outlives_a_killed_orchestrator_and_the_recorder_finishes(tmp_pa
 def test_ros2_run_starts_a_node_where_it_finds_the_same_package(
     prefix: Path | str, used: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A script stands for `ros2`, which has no wheel; it does what `ros2 run` does."""
+    """A script replaces `ros2`, which has no wheel, and does the same as `ros2 run`."""
     ros2 = tmp_path / "ros2"
     ros2.write_text(
         f'#!/bin/sh\nif [ "$1" = pkg ]; then echo {prefix}; exit; fi\n'

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A run is judged by goal, completeness, failures and signals, in an exit code with reasons."""
+"""A run is judged by goal, completeness, failures and signals, with exit code and reasons."""
 
 from __future__ import annotations
 
@@ -95,7 +95,7 @@ def test_a_dropped_object_is_called_dropped(plan: Plan) -> None:
 
 
 def test_a_failure_comes_first() -> None:
-    outcome = RunOutcome(failure="plant ended", complaints=["recorder did not end well"])
+    outcome = RunOutcome(failure="plant ended", complaints=["recorder did not stop cleanly"])
     verdict = judge(PLAN, outcome, results("no bag"), 128)
     assert verdict == RunVerdict("failed", [outcome.failure, "no bag", *outcome.complaints], 1)
 
@@ -117,11 +117,11 @@ def test_ctrl_c_is_the_regular_end_of_an_interactive_run_alone(
 
 
 def test_an_interrupt_before_the_first_tick_leaves_nothing_to_miss() -> None:
-    stopped = RunOutcome(interrupted=True, complaints=["plant did not end well"])
+    stopped = RunOutcome(interrupted=True, complaints=["plant did not stop cleanly"])
     nothing = RunResults(problems=["no bag"])
-    assert judge(PLAN, stopped, nothing, 130).reasons == ["plant did not end well"]
+    assert judge(PLAN, stopped, nothing, 130).reasons == ["plant did not stop cleanly"]
     started = results("no bag")
-    assert judge(PLAN, stopped, started, 130).reasons == ["no bag", "plant did not end well"]
+    assert judge(PLAN, stopped, started, 130).reasons == ["no bag", "plant did not stop cleanly"]
     assert judge(STEERED, stopped, started, 130).exit_code == 1
 
 
@@ -152,7 +152,7 @@ def test_a_bag_that_is_short_is_a_problem_of_a_finished_run_in_lockstep(
 
 
 def test_lost_messages_are_those_of_the_hand(tmp_path: Path) -> None:
-    """What a node says while it starts may come before the recorder has found it."""
+    """The recorder may miss a node's messages from before its discovery."""
     lost = {"": "45", "/parameter_events": "43", "/left/joint_states": "2"}
     directory = RunDirectory(tmp_path)
     noted = {f"lost_messages{topic}": count for topic, count in lost.items()}
@@ -181,7 +181,7 @@ def test_what_has_a_goal_passes_or_fails(directory: RunDirectory) -> None:
     assert steered["final position error"][1:] == ["", ""]
     text = io.StringIO()
     line_console(text, width=80).print(table(PLAN, started, found))
-    assert "…" not in text.getvalue()  # nothing is cut at 80 columns
+    assert "…" not in text.getvalue()  # nothing is cut off at 80 columns
 
 
 def test_a_drop_leaves_nothing_else_to_be_judged(tmp_path: Path) -> None:
@@ -199,7 +199,7 @@ def test_a_drop_leaves_nothing_else_to_be_judged(tmp_path: Path) -> None:
 def test_deadlines_are_those_of_the_time_that_was_asked_for_or_of_the_user(
     directory: RunDirectory,
 ) -> None:
-    """Of a run that stood still before its end, what never came was missed."""
+    """The ticks that a stalled run never reached count as missed."""
     plant = {"late_commands": "1", "missed_ticks": "2", "lost_s": "0", "time_s": "0.05"}
     outcome = RunOutcome(last_tick=50_000_000, plant=plant)
     asked = real_time_counts(REAL_TIME, outcome)

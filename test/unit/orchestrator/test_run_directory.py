@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Run directories are unique, linked, and hold a scenario that can be run again."""
+"""Run directories are unique, linked, and hold a scenario for another run."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ NOON = datetime.datetime(2030, 1, 2, 12, 0, 0)
 
 @pytest.mark.parametrize("name", scenario_names())
 def test_resolved_scenario_loads_back_to_the_same_values(name: str, tmp_path: Path) -> None:
-    """What all nodes share is said once."""
+    """Shared values are written once."""
     scenario = load_scenario(name, {"seed": 7, "plant.object.friction": 0.5})
     path = RunDirectory(tmp_path).scenario
     text = RunDirectory(tmp_path).write_scenario(scenario)

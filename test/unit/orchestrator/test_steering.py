@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The orchestrator's commands arrive with their times; a plant that refuses is an error."""
+"""The orchestrator's commands arrive with their times; a plant's rejection is an error."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def make(context: Context) -> Iterator[Callable[[str], Node]]:
 
 
 def no_check() -> None:
-    """Find nothing wrong."""
+    """Accept everything."""
 
 
 def test_targets_and_the_newest_force_that_is_due_arrive(make: Callable[[str], Node]) -> None:
@@ -100,7 +100,7 @@ def test_the_plant_is_told_to_run_and_its_refusal_is_an_error(
             steering.run(True)
             steering.run(False)
         else:
-            with pytest.raises(SteeringError, match="refuses ~/run: it is finished"):
+            with pytest.raises(SteeringError, match="rejects ~/run: it is finished"):
                 steering.run(True)
     assert asked == ([True, False] if accepts else [True])
 

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The document of a page: one run field by field, and what is special about other runs.
+"""The document of a page: one run field by field, and special cases of other runs.
 
-`PYTHONPATH=test python test/unit/report/test_document.py` writes the expected document again.
+`PYTHONPATH=test python test/unit/report/test_document.py` rewrites the expected document.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ def values(document: dict[str, Any], name: str) -> NDArray[np.float64]:
 
 
 def readable(document: dict[str, Any]) -> Any:
-    """Return a document with some rows of its arrays as numbers, as JSON has it."""
+    """Return a document as in JSON, with some rows of its arrays as numbers."""
     out = dict(document)
     out["columns"] = {
         name: {"shape": column["shape"], "rows": unpack(column)[[0, 1, 15, -1]].tolist()}
@@ -70,7 +70,7 @@ def readable(document: dict[str, Any]) -> Any:
 
 
 def as_number(text: str) -> float | None:
-    """Return the number that a text is, or None."""
+    """Return the number in a text, or None."""
     try:
         return float(text)
     except ValueError:
@@ -78,7 +78,7 @@ def as_number(text: str) -> float | None:
 
 
 def assert_same(found: Any, expected: Any, place: str = "") -> None:
-    """Insist that plain data are equal, numbers to a millionth."""
+    """Assert that plain data are equal, numbers to a millionth."""
     if isinstance(expected, dict):
         assert found.keys() == expected.keys(), place
         for key, value in expected.items():
@@ -88,7 +88,7 @@ def assert_same(found: Any, expected: Any, place: str = "") -> None:
         for i, value in enumerate(expected):
             assert_same(found[i], value, f"{place}[{i}]")
     elif isinstance(expected, str) and (number := as_number(expected)) is not None:
-        # A residual of rounding differs between machines.
+        # Residuals at rounding level differ between machines.
         assert as_number(found) == pytest.approx(number, rel=1e-3, abs=1e-12), place
     elif isinstance(expected, float):
         assert found == pytest.approx(expected, rel=1e-6, abs=1e-9), place
@@ -146,7 +146,7 @@ def test_whole_numbers_are_packed_with_a_mark_for_nan() -> None:
 
 
 def test_a_gap_in_a_bag_is_a_gap_and_no_lost_contact(tmp_path: Path) -> None:
-    """Nothing was drawn before the first message, so that no line has to end there."""
+    """Before the first message nothing is drawn, so no line has to end there."""
     record = random_record(60)
     for dark in (slice(0, 8), slice(20, 30)):
         record.contact_positions[dark] = record.forces[dark] = np.nan
@@ -183,7 +183,7 @@ def test_a_reset_begins_a_section_and_hides_nothing(tmp_path: Path) -> None:
 
 
 def test_a_page_has_the_last_ten_sections(tmp_path: Path) -> None:
-    """Also of a bag without any finger."""
+    """Even of a bag without any finger."""
     with RunWriter(tmp_path / "bag") as bag:
         for section in range(12):
             for tick in range(2 + section):
@@ -226,7 +226,7 @@ def test_a_dropped_object_is_the_headline(tmp_path: Path) -> None:
 def test_a_scenario_that_does_not_fit_is_shown_as_text(
     old: str, new: str, words: str, tmp_path: Path
 ) -> None:
-    """A scenario of another version of the package may hold anything."""
+    """A scenario of another version of the package may have any content."""
     text = resolved(load_scenario("paper")).replace(old, new)
     run = Run(write_record(tmp_path / "bag", random_record(5), custom_data={"scenario": text}))
     document = run_document(run)
@@ -235,7 +235,7 @@ def test_a_scenario_that_does_not_fit_is_shown_as_text(
 
 
 def test_the_hand_that_was_recorded_is_drawn(tmp_path: Path) -> None:
-    """Also where the scenario names another."""
+    """Even if the scenario names another one."""
     urdf = (
         '<robot name="r"><link name="base"/><joint name="joint_1" type="revolute">'
         '<parent link="base"/><child link="tip"/><origin xyz="0.5 0 0"/></joint>'

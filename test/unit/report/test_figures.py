@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Figures can be drawn of every record, also of runs that went wrong."""
+"""Figures can be drawn of every record, even of failed runs."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ from tactile_hand_ros.scenario.scenario import load_scenario
 
 
 def lost(record: Record) -> Record:
-    """Let go of the object half-way."""
+    """Drop the object half-way."""
     half = len(record) // 2
     for array in (record.contact_positions, record.contact_quaternions, record.optimal_forces):
         array[half:] = np.nan
     record.auxiliary_position[half:] = record.auxiliary_quaternion[half:] = np.nan
-    record.forces[half:] = 0.0  # fingers that do not touch feel nothing
+    record.forces[half:] = 0.0  # fingers without contact measure zero
     return record
 
 
@@ -73,7 +73,7 @@ def test_lines_are_the_numbers_of_the_record() -> None:
 
 
 def test_same_record_gives_same_files(tmp_path: Path) -> None:
-    """Figures in documentation change only when numbers do."""
+    """Figures in the documentation change only with the numbers."""
     files = [
         save(motion_figure(RECORDS["good"]), tmp_path / folder, "fig") for folder in ("a", "b")
     ]
@@ -94,4 +94,4 @@ def test_strong_forces_stay_in_the_picture() -> None:
     figure = grasp_figure(record, scenario)
     caption = next(text.get_text() for text in figure.texts if "mm per N" in text.get_text())
     length = float(caption.split("force on the object, ")[1].split(" mm")[0])
-    assert 240.0 * length < 250.0  # mm, not farther than the hand reaches
+    assert 240.0 * length < 250.0  # mm, within the hand's reach

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The page carries the numbers of the run and nothing that would have to be loaded."""
+"""The page is self-contained and has the numbers of the run."""
 
 from __future__ import annotations
 

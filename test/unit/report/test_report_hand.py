@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The tree of links that the page draws is the hand of the physics."""
+"""The page draws the same tree of links as the physics."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ SLIDER = """<robot name="gripper">
 
 
 def tips_of(tree: dict[str, Any], theta: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the tips by walking the tree as the page does, shape (k, 3)."""
+    """Return the tips by walking the tree like the page, shape (k, 3)."""
     places: list[tuple[NDArray[np.float64], NDArray[np.float64]]] = []
     for link in tree["links"]:
         place = np.array(link["xyz"])

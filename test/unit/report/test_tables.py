@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Numbers as text: with their units, without digits that do not matter, and unknown where NaN."""
+"""Numbers as text: with units, without insignificant digits, and unknown for NaN."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def test_numbers_have_four_digits_and_their_unit() -> None:
 
 
 def test_metrics_of_a_real_hand_that_dropped_the_object() -> None:
-    """What is unknown is left out, and so is what a held object alone has."""
+    """Unknown values are omitted, and so are those that only a held object has."""
     nan = math.nan
     dropped = replace(
         METRICS, dropped_at_s=0.75, max_object_rotation_in_grasp_rad=nan, max_slip_distance_m=nan,
@@ -88,9 +88,9 @@ def test_metrics_of_a_real_hand_that_dropped_the_object() -> None:
     [
         (math.nan, 0, "not judged"),
         (1.0, 0, "throughout"),
-        (0.9, 1, "90.0 %, not from 1.00 to 1.50 s"),
-        (0.5, 3, "50.0 %, not from 1.00 to 1.50 s, 2.00 to 2.50 s, 3.00 to 3.50 s"),
-        (0.5, 5, "50.0 %, not from 1.00 to 1.50 s, 2.00 to 2.50 s, 3.00 to 3.50 s and 2 more"),
+        (0.9, 1, "90.0 %, violated from 1.00 to 1.50 s"),
+        (0.5, 3, "50.0 %, violated from 1.00 to 1.50 s, 2.00 to 2.50 s, 3.00 to 3.50 s"),
+        (0.5, 5, "50.0 %, violated from 1.00 to 1.50 s, 2.00 to 2.50 s, 3.00 to 3.50 s and 2 more"),
     ],
 )
 def test_when_an_assumption_held(share: float, count: int, text: str) -> None:

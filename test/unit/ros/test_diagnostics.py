@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The state of a node is the worst that is true, and it recovers."""
+"""A node reports its worst present state, and recovers."""
 
 import pytest
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The nodes' own loop serves what rclpy's executors serve, in turn, survives errors, and stops."""
+"""The node executor serves the same entities as rclpy's, in turn, survives errors, and stops."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ GARBAGE = serialize_message(Int8(data=1))
 
 
 class Survivor(Node):
-    """A node that notes what it survives."""
+    """A node that logs the errors that it survives."""
 
     def __init__(self, name: str, context: Any) -> None:
         super().__init__(name, context=context, start_parameter_services=False)
@@ -59,7 +59,7 @@ def publish(node: Node, topic: str, *messages: Any) -> None:
 
 
 def spin_until(nodes: list[Any], condition: Callable[[], Any]) -> None:
-    """Spin until a condition holds; a timer looks for it."""
+    """Spin until a condition holds; a timer polls it."""
     executor = WaitSetExecutor(context=nodes[0].context)
 
     def look() -> None:
@@ -130,7 +130,7 @@ def test_services_and_clients_work_also_under_a_flood_of_messages(nodes: list[An
 
 
 def test_entities_may_come_and_go_while_spinning(nodes: list[Any]) -> None:
-    """One that its own callback destroys gets no second message."""
+    """One that its own callback destroys receives no second message."""
     here, there, _ = nodes
     got: list[float] = []
 
@@ -282,7 +282,7 @@ def test_a_signal_ends_a_node_quietly_and_one_that_waits_takes_no_processor_time
             wait_until(lambda: watched.cpu_percent(0.5) < 3.0, 60.0, "a node that waits")
         process.send(number)
         assert process.wait() == 0
-        # The node may be about to log that it is ready; rcl then misses the context, and says so.
+        # The node may be about to log that it is ready; rcl then reports the missing context.
         known = (": ready", "publisher's context is invalid, at")
         assert [x for x in process.stderr.splitlines() if not any(k in x for k in known)] == []
         assert "closed" in process.stdout
@@ -297,7 +297,7 @@ class EndedWhileServing(WaitSetExecutor):
 
 
 def test_a_shutdown_that_the_public_executor_notices_first_ends_the_loop(nodes: list[Any]) -> None:
-    """The guard condition wakes one of the two only."""
+    """The guard condition wakes only one of the two."""
     executor = EndedWhileServing(context=nodes[0].context)
     executor.add_node(nodes[0])
     spinning = threading.Thread(target=executor.spin, daemon=True)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A node gets complete ticks, the trigger alone after a time-out, and no tick twice."""
+"""A node gets complete ticks, the trigger alone after a timeout, and no tick twice."""
 
 from __future__ import annotations
 
@@ -32,10 +32,10 @@ JOINTS = JointCodec(HAND.joint_names, ("position", "velocity", "effort"))
 
 
 class Ear:
-    """A node as far as inputs need one, and the listener; brings messages and keeps what comes."""
+    """A minimal node for inputs and their listener; sends messages and keeps what is received."""
 
     bad = -1
-    """Stamp of a tick that cannot be answered [ns]."""
+    """Timestamp of a tick that cannot be answered [ns]."""
 
     def __init__(self, *, observes: bool = False) -> None:
         self.now = self.number = 0
@@ -75,14 +75,14 @@ class Ear:
 
     @property
     def executor(self) -> Any:
-        """What calls back after reading, where that is known."""
+        """The executor that calls back after reading, if known."""
         return self if self.reads_late else None
 
     def after_reading(self, callback: Callable[[], None]) -> None:
         self.waiting.append(callback)
 
     def has_read(self) -> None:
-        """Call what waits for the end of reading; there is one call for all ticks."""
+        """Call the callback at the end of reading; there is one call for all ticks."""
         [callback], self.waiting = self.waiting, []
         callback()
 
@@ -107,18 +107,18 @@ class Ear:
         self.heard.append(("restart",))
 
     def joints(self, stamp: int) -> None:
-        """Bring joint states, which tell their tick [ms] apart."""
+        """Send joint states, which differ by their tick [ms]."""
         data = JOINTS.encode(stamp * MS, THETA + stamp, RATES - stamp, 0.0 * THETA)
         self.number += 1
         self.bring(data, self.number)
 
     def bring(self, joints: bytes, number: int) -> None:
-        """Bring joint states that their publisher has given a number."""
+        """Send joint states with a publisher's sequence numbers."""
         info = {"publication_sequence_number": number}
         self.callbacks[names.JOINT_STATES](joints, info)
 
     def others(self, stamp: int, *, without: str = "") -> None:
-        """Bring everything else of a tick [ms], with other numbers for each finger."""
+        """Send all other messages of a tick [ms], with other numbers for each finger."""
         at = stamp * MS
         data = {
             names.CONTACTS: ContactsCodec(3).encode(POSITIONS + stamp, TURNS, at),
@@ -133,12 +133,12 @@ class Ear:
                 self.callbacks[topic](message)
 
     def kinds(self) -> list[Any]:
-        """Return what was heard since the last call, with stamps [ms] of ticks."""
+        """Return what was received since the last call, with timestamps [ms] of ticks."""
         heard, self.heard = self.heard, []
         return [(entry[0], entry[1] // MS) if len(entry) > 1 else entry[0] for entry in heard]
 
     def go_blind(self, first: int) -> int:
-        """Let joints come alone until they are answered; return the tick [ms] of that."""
+        """Send joints alone until they are answered; return the tick [ms] of that answer."""
         self.joints(first)
         self.now += 500 * MS
         for stamp in range(first + 100, first + 501, 100):
@@ -154,7 +154,7 @@ class Ear:
 
 @pytest.fixture
 def ear() -> Ear:
-    """Return an ear with the clock of a test."""
+    """Return an ear with a test clock."""
     return Ear()
 
 
@@ -185,7 +185,7 @@ def test_a_tick_that_was_answered_is_answered_alike_when_its_joints_come_again(e
 
 
 def test_in_lockstep_a_tick_is_waited_for_however_long_it_takes(ear: Ear) -> None:
-    """The plant sends it again and again; the answer is that of a fast machine."""
+    """The plant resends it repeatedly; the answer is that of a fast machine."""
     ear.joints(2)
     ear.others(2)
     for _ in range(50):
@@ -215,12 +215,12 @@ def test_joints_that_stay_alone_for_the_time_out_are_passed_on_with_the_reason(e
     assert reason == ear.fault == expected
     assert ear.diagnostics.status().level == ERROR
     assert ear.kinds() == [("blind", 504)]
-    ear.joints(508)  # from now on at once
+    ear.joints(508)  # immediately from now on
     assert ear.kinds() == [("blind", 508)]
 
 
 def test_what_is_missing_is_named_also_where_the_trigger_comes_first(ear: Ear) -> None:
-    """Of the newest tick nothing else is here yet."""
+    """Nothing else of the newest tick has arrived yet."""
     for stamp in range(0, 504, 4):
         ear.joints(stamp)
         ear.others(stamp, without=names.GRASP_FORCE)
@@ -230,7 +230,7 @@ def test_what_is_missing_is_named_also_where_the_trigger_comes_first(ear: Ear) -
 
 
 def test_no_tick_is_answered_after_one_that_was_answered_blindly(ear: Ear) -> None:
-    """Touch that comes late, of that tick or an older one, only ends the blindness."""
+    """Late touch of that tick or an older one only ends the blindness."""
     at = ear.go_blind(2)
     ear.joints(at + 4)
     ear.joints(at + 8)
@@ -240,7 +240,7 @@ def test_no_tick_is_answered_after_one_that_was_answered_blindly(ear: Ear) -> No
     ear.others(at + 8)
     assert ear.kinds() == []
     ear.joints(at + 9)
-    assert ear.kinds() == []  # no longer blind: the time-out begins anew
+    assert ear.kinds() == []  # no longer blind: the timeout restarts
     ear.others(at + 9)
     assert ear.kinds() == [("tick", at + 9)]
 
@@ -276,7 +276,7 @@ def test_without_a_time_out_an_incomplete_tick_is_never_passed_on() -> None:
 
 
 def complete(node: Ear, *ticks: int) -> None:
-    """Bring whole ticks [ms]."""
+    """Send complete ticks [ms]."""
     for tick in ticks:
         node.joints(tick)
         node.others(tick)
@@ -319,7 +319,7 @@ def test_a_tick_that_cannot_be_answered_is_reported_and_the_others_are_answered(
 
 
 def test_ticks_that_wait_are_forgotten_when_the_stamps_start_over() -> None:
-    """And the first one is not skipped, as if it had followed the last of before."""
+    """And the first one is not skipped, as if it followed the previous ones."""
     node = Ear()
     complete(node, 20)
     node.reads_late = True
@@ -331,7 +331,7 @@ def test_ticks_that_wait_are_forgotten_when_the_stamps_start_over() -> None:
 
 
 def test_while_two_senders_send_the_trigger_no_tick_is_answered() -> None:
-    """Which joints are the right ones cannot be known; the driver holds, for it gets no answer."""
+    """The right joints cannot be identified; without an answer, the driver holds."""
     ear = Ear()
     complete(ear, 1, 2)
     other = JOINTS.encode(2 * MS, THETA, RATES, 0.0 * THETA)
@@ -368,7 +368,7 @@ def test_a_stamp_that_continues_refutes_one_ahead() -> None:
 
 
 def test_slow_ticks_are_answered_when_they_are_sent_again() -> None:
-    """A plant in lockstep repeats a tick that is not answered, and its ticks may be far apart."""
+    """A plant in lockstep repeats an unanswered tick, and its ticks may be far apart."""
     ear = Ear()
     complete(ear, 0, 10_000, 10_000, 20_000, 20_000)
     assert [each for each in ear.kinds() if each != "repeat"] == [
@@ -381,7 +381,7 @@ def test_slow_ticks_are_answered_when_they_are_sent_again() -> None:
 def test_inputs_are_missing_when_the_time_out_has_passed_by_the_stamps_and_by_the_wall_clock(
     ear: Ear,
 ) -> None:
-    """One stamp ahead is no time, nor is time that stands still; a step back starts it again."""
+    """A single timestamp is no passing time, nor is a stopped clock; a step back restarts it."""
     for wall, stamp, heard in (
         (0, 10_000, []),
         (600, 3_000, []),

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Our bytes are those that ROS reads; bytes of others are read as ROS reads them, or refused."""
+"""Our bytes equal those of ROS; foreign bytes are read as by ROS, or rejected."""
 
 import math
 import struct
@@ -48,12 +48,12 @@ def unit_quaternions(count):
 
 
 def same_bits(ours, theirs):
-    """Compare to the bit, so that -0.0 is not 0.0."""
+    """Compare bit by bit, so that -0.0 is not 0.0."""
     assert np.asarray(ours, dtype=float).tobytes() == np.asarray(theirs, dtype=float).tobytes()
 
 
 def big_endian(message):
-    """Return a WrenchStamped as a big-endian machine sends it."""
+    """Return a WrenchStamped from a big-endian machine."""
     stamp, frame = message.header.stamp, message.header.frame_id.encode() + b"\0"
     head = struct.pack(">iII", stamp.sec, stamp.nanosec, len(frame)) + frame
     force = message.wrench.force
@@ -145,7 +145,7 @@ def test_pose_and_clock_are_read_by_ros_and_by_us(stamp, position):
 
 @pytest.mark.parametrize(("square", "taken"), [(0.9989, 0), (0.9991, 1), (1.0009, 1), (1.0011, 0)])
 def test_a_quaternion_of_nearly_unit_length_is_a_rotation_and_others_are_refused(square, taken):
-    """In a pose and in contacts alike, longer ones as shorter ones."""
+    """In a pose and in contacts, whether too long or too short."""
     positions, turns = np.arange(9.0).reshape(3, 3), unit_quaternions(3)
     rotation = rotation_from_quaternion(turns[1])
     turns[1] *= np.sqrt(square)
@@ -156,7 +156,7 @@ def test_a_quaternion_of_nearly_unit_length_is_a_rotation_and_others_are_refused
             with pytest.raises(MessageError, match="expected one of length 1"):
                 codec.decode(data)
         return
-    # What follows must not be stretched by it.
+    # It must not stretch the following values.
     _, (_, quaternion) = PoseCodec().decode(pose)
     np.testing.assert_allclose(rotation_from_quaternion(quaternion), rotation, atol=1e-15)
     found = Contacts.from_poses(*ContactsCodec(3).decode(contacts)[1])
@@ -270,7 +270,7 @@ def test_each_part_of_a_force_counts_up_to_the_largest_number(place, sign):
 
 
 def test_three_large_parts_of_a_force_are_as_good_as_one():
-    """Their sum of squares is above the limit, none of them is."""
+    """Their sum of squares is above the limit, but none of them is."""
     codec, force = WrenchCodec("tip"), (9e8, -9e8, 9e8)
     assert codec.decode(codec.encode(force, 5)) == (5, force)
     joints, values = JointCodec(["a", "b", "c"], ("effort",)), np.array(force)
@@ -363,7 +363,7 @@ def test_a_message_may_have_the_largest_size_and_not_a_byte_more():
 
 
 def test_joint_states_of_an_arm_and_a_hand_are_read_by_the_names_of_the_hand():
-    """One driver may publish all joints of a robot; what the arm's are does not matter."""
+    """One driver may publish all joints of a robot; those of the arm are ignored."""
     codec = JointCodec(["b", "a"], others=True)
     message = JointState(
         name=["arm_1", "a", "arm_2", "b"],

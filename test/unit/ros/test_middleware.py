@@ -23,7 +23,7 @@ def test_the_range_chooses_a_profile_of_sockets(given: dict[str, str], name: str
     file = Path(settings[PROFILE])
     kinds = [each.text for each in ElementTree.parse(file).iter() if each.tag.endswith("}type")]
     assert (file.stem, kinds) == (name, ["UDPv4"])
-    assert settings[RANGE] == "SUBNET"  # LOCALHOST itself would bring shared memory back
+    assert settings[RANGE] == "SUBNET"  # LOCALHOST itself would enable shared memory again
 
 
 def test_the_older_variable_means_this_machine_too() -> None:
@@ -53,7 +53,7 @@ def test_what_the_user_has_chosen_stays(given: dict[str, str]) -> None:
 
 
 def test_without_a_configuration_nothing_is_set(monkeypatch: pytest.MonkeyPatch) -> None:
-    """What needs the configuration will say so."""
+    """The user of the configuration reports that it is missing."""
 
     def fail() -> Path:
         raise ConfigurationError("no configuration")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The base of all nodes: it survives bad messages and its own errors, says so, and knows peers."""
+"""The base of all nodes: it survives and reports bad messages and errors, and counts peers."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ class Gains(Config):
 
 
 class Example(TactileNode[Gains]):
-    """A node that fails on demand, in every way."""
+    """A node that can fail in every way."""
 
     fatal = (FatalError,)
 
@@ -99,7 +99,7 @@ def node(here: Process) -> Example:
 
 
 def logged(here: Process) -> Callable[[], list[str]]:
-    """Return what gives the lines that the node has logged."""
+    """Return a function for the lines that the node has logged."""
     here.receive(Log, "/rosout")
     return lambda: [m.msg for m in here.messages("/rosout", 0) if "example" in m.name]
 
@@ -119,7 +119,7 @@ def test_a_bad_message_is_counted_logged_once_and_survived(here: Process, node: 
 
 
 def test_no_callback_ends_a_node(here: Process, node: Example) -> None:
-    """What was not foreseen is logged once for each source, and makes the node safe each time."""
+    """An unexpected error is logged once per source, and makes the node safe each time."""
     lines = logged(here)
     node.create_timer(0.01, node.fail)
     for topic in ("y", "later"):
@@ -213,7 +213,7 @@ def test_health_is_reported_when_a_peer_comes_or_goes(here: Process, node: Examp
 
 
 def test_peers_are_counted_by_topic_and_end(here: Process, node: Example) -> None:
-    """Those that no executor serves as well."""
+    """Including those that no executor serves."""
     node.create_publisher(Float64, "z", 1)
     subscribe_directly(node, Float64, "z", QoSProfile(depth=1))
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Parameters of a node from a configuration: types, ranges, files, changes while it runs."""
+"""Parameters of a node from a configuration: types, ranges, files, changes at run time."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def domain() -> Iterator[int]:
 
 @pytest.fixture
 def declare(domain, monkeypatch):
-    """Declare the example on a node that got some ROS arguments."""
+    """Declare the example on a node with some ROS arguments."""
     opened = []
 
     def start(*arguments, on_change=lambda _: None, namespace="left"):
@@ -108,7 +108,7 @@ def test_values_from_the_command_line(declare, argument, field, value):
     ("argument", "words"),
     [
         ("k_p:=40.0", "/left/plant: k_p is 40.0, but should be less than or equal to 10 .N/m."),
-        ("k_p:=true", "k_p is refused: true or false is not a number"),
+        ("k_p:=true", "k_p is invalid: true or false is not a number"),
         ("k_p:=6.0", "k_p is above k_max, raise k_max first"),
         ("pushes:=['{kind: [']", "not valid YAML"),
         ("kp:=4.0", "unknown parameter 'kp', did you mean 'k_p'"),

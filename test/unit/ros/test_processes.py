@@ -73,7 +73,7 @@ def test_waiting_in_vain_says_for_what() -> None:
 
 
 def test_all_that_a_process_has_started_ends_with_it_even_if_it_ignores_signals() -> None:
-    """And no group is signaled when its leader has been reaped: its number may be another's."""
+    """A group whose leader was reaped gets no signal: its number may have been reused."""
     program = (
         "import os, signal, sys\n"
         "signal.signal(signal.SIGINT, signal.SIG_IGN)\n"

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A message is encoded once, and only if somebody wants it."""
+"""A message is encoded once, and only if it has a subscriber."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What each kind of topic promises, which no consumer can tell from its own side."""
+"""The QoS of each kind of topic, which consumers cannot see from their side."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How a process of nodes stops: its exit code, what it prints, and in which order it closes."""
+"""How a process of nodes stops: exit code, output, and order of closing."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 @pytest.fixture(autouse=True)
 def _process(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    """Leave the handlers of signals and the collector as they were."""
+    """Restore the signal handlers and the garbage collector."""
     before = {number: signal.getsignal(number) for number in SIGNALS}
     with isolated_domain() as domain:
         monkeypatch.setenv("ROS_DOMAIN_ID", str(domain))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The options for the kernel's scheduler are read, written and refused with a reason."""
+"""The options for the kernel's scheduler are read, written, and rejected with a reason."""
 
 import contextlib
 import os
@@ -45,7 +45,7 @@ def test_nonsense_is_refused(words):
 
 
 def _policies_of_thread(name):
-    """Ask for SCHED_FIFO 2 in a thread of that name; return what it has before and after."""
+    """Request SCHED_FIFO 2 in a thread of that name; return its policy before and after."""
     seen = []
 
     def policy(thread):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Ticks are complete, in order and of one stamp; slow nodes meet; two senders are found."""
+"""Ticks are complete, ordered, of one timestamp; slow nodes catch up; two senders are detected."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ MS = 1_000_000
 
 @st.composite
 def interleavings(draw):
-    """Streams that are each in order but arrive mixed; some messages are lost."""
+    """Streams that are each in order but arrive interleaved; some messages are lost."""
     count = draw(st.integers(1, 12))
     streams = {key: list(range(count)) for key in KEYS}
     for key in KEYS:
@@ -43,7 +43,7 @@ def test_sets_are_in_order_and_never_mixed(case):
     for values in sets:
         assert values == tuple((key, values[0][1]) for key in KEYS)
     assert set(stamps) <= set.intersection(*map(set, streams.values()))
-    # Streams in order complete their sets in order: none that could be complete is missed.
+    # Ordered streams complete their sets in order: no set that could be complete is missed.
     assert set(stamps) == set.intersection(*map(set, streams.values()))
 
 
@@ -109,7 +109,7 @@ def test_just_so_many_incomplete_stamps_are_kept_and_the_first_to_come_goes_firs
 
 
 def batches(stamps: list[int], sizes: list[int]) -> list[list[int]]:
-    """Cut what comes into what a slow node finds each time it looks."""
+    """Cut the input into the batches that a slow node finds."""
     out, at = [], 0
     while at < len(stamps):
         size = sizes[len(out) % len(sizes)]
@@ -119,7 +119,7 @@ def batches(stamps: list[int], sizes: list[int]) -> list[list[int]]:
 
 
 def answered(batches: list[list[int]], previous: int | None = None) -> list[list[int]]:
-    """Return which ticks are answered of those that wait together [ms]."""
+    """Return the answered ticks of those that wait together [ms]."""
     out = []
     for ticks in batches:
         stamps = chosen([tick * MS for tick in ticks], None if previous is None else previous * MS)
@@ -129,7 +129,7 @@ def answered(batches: list[list[int]], previous: int | None = None) -> list[list
 
 
 def test_the_tick_before_those_that_wait_counts_and_the_first_of_all_has_none() -> None:
-    assert answered([[16], [17, 18], [19, 20]]) == [[16], [18], [20]]  # 17 begins nothing
+    assert answered([[16], [17, 18], [19, 20]]) == [[16], [18], [20]]  # 17 does not start a stretch
     assert answered([[21, 22]]) == [[21, 22]]
 
 
@@ -141,7 +141,7 @@ def test_slow_nodes_meet_however_they_lag(
     first: int, one: list[int], other: list[int], period: int
 ) -> None:
     stamps = [(first + period * i) * MS for i in range(500)]
-    lag = period * max(*one, *other)  # of the oldest tick that waits, and one period
+    lag = period * max(*one, *other)  # of the oldest waiting tick, plus one period
     stretch = (1 << lag.bit_length()) * MS
     firsts = {min(t for t in stamps if t // stretch == s) for s in {t // stretch for t in stamps}}
     for sizes in (one, other):
@@ -150,19 +150,19 @@ def test_slow_nodes_meet_however_they_lag(
 
 
 class Topic:
-    """A check of a topic, and a clock that a test moves."""
+    """A check of a topic, with a test clock."""
 
     def __init__(self) -> None:
         self.now = 3600.0
         self.check = SenderCheck(lambda: self.now)
 
     def bring(self, *numbers: int | None) -> list[bool]:
-        """Bring messages with these numbers; return after which of them the topic is contested."""
+        """Send messages with these numbers; return after which of them the topic is contested."""
         return [self.check.note({"publication_sequence_number": number}) for number in numbers]
 
 
 def test_one_sender_may_repeat_ticks_and_lose_messages() -> None:
-    """Whatever its stamps: a driver may give several samples the time of a slow clock."""
+    """For any timestamps: a driver with a slow clock may repeat one for several samples."""
     assert not any(Topic().bring(5, 6, 7, 10, 11, 40))
 
 

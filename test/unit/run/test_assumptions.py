@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The assumptions on the paper's grasp, and on records in which something breaks."""
+"""The assumptions on the paper's grasp, and on records that violate them."""
 
 import copy
 
@@ -32,7 +32,7 @@ def record(paper):
 
 @pytest.fixture(scope="module")
 def first_grasp():
-    """Return forty ticks of 10 ms in which the paper's hand keeps its first grasp."""
+    """Return forty 10 ms ticks during which the paper's hand keeps its first grasp."""
     state = plant().state
     seen = true_reading(state)
     record = Record.empty(40, HAND.finger_names, HAND.joint_names)
@@ -66,7 +66,7 @@ def test_every_assumption_holds_in_the_papers_world(record):
 
 
 def test_the_angle_to_the_rim_is_that_of_the_papers_posture(still):
-    """The last link points 30 degrees above the horizontal, the contact normal lies in it."""
+    """The last link points 30 degrees above the horizontal, and the contact normal lies in it."""
     assert lines(still)["A2"].worst == pytest.approx(0.5 * np.pi - np.radians(30.0), abs=2e-3)
 
 
@@ -96,7 +96,7 @@ def test_ticks_before_the_contacts_have_closed_do_not_count(still):
 
 
 def test_the_contact_that_wandered_farthest_counts_from_where_it_was_first_seen(still):
-    """The first tick has no contacts; later the normal of finger 2 turns to and fro."""
+    """The first tick has no contacts; later the normal of finger 2 turns back and forth."""
     still.contact_positions[0] = still.contact_quaternions[0] = np.nan
     for tick, angle in ((10, 0.1), (39, -0.03)):
         turn = Rotation.from_quat(still.contact_quaternions[tick, 1])
@@ -165,7 +165,7 @@ def test_the_cone_that_is_nearest_is_that_of_a_contact_that_is_known(still):
 
 
 def test_a_slip_lasts_from_finger_to_finger_until_none_slips(still):
-    """Five ticks of 10 ms, the last of them longer, then a second one that is short enough."""
+    """Five ticks of 10 ms, the last of them longer, then a second slip that is short enough."""
     still.stamps[12:] += 7_000_000
     still.grip[8:11, 0] = still.grip[10:13, 2] = SLIP
     still.grip[20, 1] = SLIP
@@ -189,7 +189,7 @@ def test_how_long_a_slip_lasts_is_unknown_where_a_finger_says_nothing(still):
         (lambda f: 1.2 * f, 0.2),
         (lambda f: 0.7 * f, 0.3),
         (lambda f: f - [[0.05, 0.0, 0.0], [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]], 0.05),
-        # Opposite faces, opposite x: against each other they turn the object about palm z.
+        # Opposite faces with opposite x: shifted in opposite directions, they turn it about palm z.
         (lambda f: f - [[0.4, 0.0, 0.0], [0.4, 0.0, 0.0], [0.0, 0.0, 0.0]], 0.8 * 0.1302),
     ],
 )
@@ -203,7 +203,7 @@ def test_f_out_of_balance_or_not_of_one_is_told_by_its_largest_residual(still, c
 
 @pytest.mark.parametrize(("ticks", "last"), [(1998, 1997), (2000, 1998), (3000, 2997)])
 def test_of_a_long_run_about_a_thousand_ticks_are_looked_at(ticks, last):
-    """In these nothing touches, which breaks A7 throughout; of the others nothing is known."""
+    """No contact in these ticks, which violates A7 throughout; of the others nothing is known."""
     record = Record.empty(ticks, HAND.finger_names, HAND.joint_names)
     record.stamps[:] = 1_000_000 * np.arange(ticks)
     found = lines(record)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A drop is the moment from which fewer than two fingers touch for good."""
+"""A drop is the moment from which fewer than two fingers touch until the end."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from tactile_hand_ros.scenario.scenario import Scenario, load_scenario
 
 
 def touched(*fingers: int) -> Record:
-    """Return a record in which so many of three fingers touch at each tick of 0.1 s."""
+    """Return a record with given numbers of touching fingers, of three, at ticks of 0.1 s."""
     record = Record.empty(len(fingers), ["a", "b", "c"], ["j"])
     record.stamps[:] = 100_000_000 * np.arange(len(fingers))
     for row, count in enumerate(fingers):
@@ -50,7 +50,7 @@ def test_what_is_let_go_is_not_dropped() -> None:
 
 
 def test_after_a_drop_there_is_no_pose_error() -> None:
-    """The pose that the hand saw last says nothing of an object that has fallen."""
+    """The last observed pose does not apply to a dropped object."""
     record = touched(3, 3, 1, 1)
     record.desired_position[:], record.auxiliary_position[:] = 0.0, [0.0, 0.0, 0.1]
     record.desired_quaternion[:] = record.auxiliary_quaternion[:] = [0.0, 0.0, 0.0, 1.0]
@@ -73,7 +73,7 @@ def test_ticks_that_were_not_recorded_are_no_drop() -> None:
 
 @pytest.fixture(scope="module")
 def dropped() -> tuple[Record, Scenario]:
-    """Return the pull of the README without slip prevention, which no constant squeeze holds."""
+    """Return the README's pull without slip prevention, which no constant grasp force holds."""
     scenario = load_scenario("pull", {"slip_regulator.mode": "user", "duration": 2.5})
     return ClosedLoop(scenario).run(), scenario
 
@@ -96,5 +96,5 @@ def test_the_figure_shows_the_hand_and_not_the_fall(dropped: tuple[Record, Scena
     figure = grasp_figure(*dropped)
     assert any("object dropped at 2" in text.get_text() for text in figure.texts)
     sizes = [float(np.ptp(axes.get_zlim())) for axes in figure.axes]
-    assert max(sizes) < 1.0  # m; the object is farther down by then
+    assert max(sizes) < 1.0  # m; by then the object is farther down
     assert dropped[0].object_position[-1, 2] < -1.0

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Events are found at the ticks at which they happened."""
+"""Events are found at the right ticks."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from tactile_hand_ros.scenario.scenario import load_scenario
 
 @pytest.fixture
 def record() -> Record:
-    """Return a quiet second at 100 Hz: everything touches and sticks."""
+    """Return an uneventful second at 100 Hz: all contacts stick."""
     out = Record.empty(101, ["thumb", "ring_finger"], ["a"])
     out.stamps[:] = 10_000_000 * np.arange(101)
     for array in (out.contact_positions, out.forces, out.true_sliding, out.desired_position):
@@ -81,7 +81,7 @@ def test_what_begins_again_within_20_ms_is_the_same(record: Record, pause: int, 
 def test_alarms_of_all_fingers_are_counted(record: Record) -> None:
     record.grip[20:25, 0] = record.grip[22:30, 1] = record.grip[60, 0] = ContactState.SLIP
     assert alarm_count(record) == 3
-    # What is there at the first tick did not begin; what begins right after it is the same.
+    # Events at the first tick do not count as new; one right after it is the same event.
     record.grip[[0, 2], 1] = ContactState.SLIP
     assert alarm_count(record) == 3
 
@@ -93,7 +93,7 @@ def test_alarms_of_all_fingers_are_counted(record: Record) -> None:
 def test_a_reaction_is_a_rise_by_two_percent_within_a_quarter_of_a_second(
     record: Record, row: int, force: float, count: int
 ) -> None:
-    """It is measured against the grasp force before the alarm."""
+    """It is relative to the grasp force before the alarm."""
     record.grip[33:38, 0] = ContactState.SLIP
     record.grasp_force[row:] = force
     found = [each for each in events(record) if each.kind == "reaction"]
@@ -108,7 +108,7 @@ def test_an_alarm_at_the_first_ticks_is_measured_against_the_first(record: Recor
 
 
 def test_a_contact_that_was_lost_in_the_dark_is_lost_when_touch_is_back(record: Record) -> None:
-    """Before touch has reported anything, none is lost."""
+    """Before touch has reported anything, no contact is lost."""
     record.contact_positions[:3] = record.forces[:3] = np.nan
     record.contact_positions[50:60] = record.forces[50:60] = np.nan
     record.contact_positions[60:, 1] = np.nan
@@ -116,7 +116,7 @@ def test_a_contact_that_was_lost_in_the_dark_is_lost_when_touch_is_back(record: 
     assert told(record, "contact_made") == []
     assert told(record, "gap") == [(pytest.approx(0.49), "")]
     text = next(each.text for each in events(record) if each.kind == "gap")
-    assert text == "nothing was recorded for 0.11 s"
+    assert text == "no data was recorded for 0.11 s"
 
 
 def test_a_drop_and_pushes_stand_in_their_order(record: Record) -> None:
@@ -149,5 +149,5 @@ def test_calls_and_refusals_are_told_with_what_was_asked() -> None:
     assert asked_events(calls, refusals) == [
         Event(0.0, "request", "", "a user calls reset"),
         Event(2.0, "request", "", "a user calls enable (false)"),
-        Event(0.5, "refusal", "", "desired_pose is refused: out of reach"),
+        Event(0.5, "refusal", "", "desired_pose is rejected: out of reach"),
     ]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A gap is several missing ticks, or several at which touch reports nothing."""
+"""A gap is several missing ticks, or several without touch messages."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from tactile_hand_ros.run.derived import gaps, silent
 
 
 def recorded(*steps: int) -> Record:
-    """Return a record with touch, whose ticks follow each other by so many periods of 4 ms."""
+    """Return a record with touch, whose ticks are so many periods of 4 ms apart."""
     record = Record.empty(len(steps) + 1, ["a", "b"], ["j"])
     record.stamps[:] = 4_000_000 * np.cumsum([0, *steps])
     record.contact_positions[:] = 0.0
@@ -35,7 +35,7 @@ def test_more_than_five_periods_without_a_tick_are_a_gap(
         (slice(1, 6), [(0, 6)]),
         (slice(24, 29), [(23, 29)]),
         (slice(25, 30), [(24, 29)]),
-        (slice(0, 30), []),  # without touch altogether
+        (slice(0, 30), []),  # no touch at all
     ],
 )
 def test_five_ticks_of_silence_are_a_gap(quiet: slice, found: list[tuple[int, int]]) -> None:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Metrics of records whose numbers can be worked out by hand."""
+"""Metrics of records that can be computed by hand."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ SECOND = 1_000_000_000
 
 
 def still_record(ticks: int = 11) -> Record:
-    """Return 0.1 s ticks of a hand that holds an object at its target with three perfect forces."""
+    """Return 0.1 s ticks of a hand that holds an object at its target with three ideal forces."""
     record = Record.empty(ticks, ["a", "b", "c"], ["j1", "j2", "j3"])
     record.stamps[:] = np.arange(ticks) * SECOND // 10
     for array in (record.rates, record.theta, record.torque, record.command):
@@ -75,7 +75,7 @@ def test_final_errors() -> None:
 
 @pytest.mark.parametrize(("slid", "reached"), [(0.009, True), (0.011, False), (np.nan, True)])
 def test_goal_of_not_slipping(slid: float, reached: bool) -> None:
-    """What nobody knows is not held against the run."""
+    """Unknown slip does not count against the run."""
     record = still_record()
     record.true_slid[:] = 0.0
     record.true_slid[-1, 1] = slid
@@ -125,7 +125,7 @@ def test_friction_is_required_where_place_and_force_of_a_contact_are_known() -> 
     ],
 )
 def test_forces(forces: list[float], worst: float, total: float) -> None:
-    """The worst of what is not known of every finger is not known."""
+    """The worst value is unknown if any finger's is unknown."""
     record = still_record()
     record.forces[-1, :, 1] = forces
     record.forces[3, 1, 1] = 50.0
@@ -139,7 +139,7 @@ def test_forces(forces: list[float], worst: float, total: float) -> None:
 
 
 def test_lost_contacts() -> None:
-    """Ticks without messages are none."""
+    """Ticks without messages do not count."""
     record = still_record()
     record.contact_positions[6:8, 1] = record.contact_positions[7, 2] = np.nan
     record.forces[6:8, 1] = 0.0
@@ -150,7 +150,7 @@ def test_lost_contacts() -> None:
 
 
 def test_an_object_that_was_lost() -> None:
-    """Nothing is known at the end: no number is invented, the goal is not reached."""
+    """The final values are unknown: no number is made up, and the goal is not reached."""
     record = still_record()
     for array in (record.contact_positions, record.auxiliary_position, record.optimal_forces):
         array[5:] = np.nan
@@ -175,7 +175,7 @@ def test_peak_rate() -> None:
 
 
 def test_what_turns_as_one_neither_moves_in_the_grasp_nor_rolls() -> None:
-    """About another axis at every tick, with an object that lies askew in the hand."""
+    """About another axis at every tick, with an object that is tilted in the hand."""
     record, random = still_record(), np.random.default_rng(7)
     askew, place, spots = rotation_from_vector([0.5, -0.9, 0.2]), random.normal(size=3), np.eye(3)
     for tick in range(len(record)):

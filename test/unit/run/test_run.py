@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A run on disk comes back as the arrays that were recorded, and says what is wrong with it."""
+"""A run on disk yields the recorded arrays, and reports its defects."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def tick_only(bag: RunWriter, stamp: int, at: int) -> None:
 class TestRecord:
     @pytest.mark.parametrize("truth", [True, False])
     def test_is_what_was_recorded(self, tmp_path: Path, truth: bool) -> None:
-        """A real hand has no ground truth, and its bag is complete without."""
+        """A real hand has no ground truth, and its bag is complete without it."""
         record = random_record(truth=truth)
         run = Run(write_record(tmp_path / "bag", record))
         assert_same(run.record, record)
@@ -81,7 +81,7 @@ class TestRecord:
         assert run.earlier == []
 
     def test_no_contact_has_no_frame_either(self, tmp_path: Path) -> None:
-        """A frame of a contact that is not there says nothing; of one that is, all counts."""
+        """The frame of a missing contact is ignored."""
         record = random_record()
         record.contact_positions[3, 1] = np.nan
         record.contact_positions[4, 2, 0] = np.nan
@@ -91,7 +91,7 @@ class TestRecord:
         assert_same(seen, record)
 
     def test_joints_may_be_named_in_any_order(self, tmp_path: Path) -> None:
-        """That of the first message counts; a message with other joints tells nothing."""
+        """The order of the first message counts; a message with other joints is ignored."""
         with RunWriter(tmp_path / "bag") as bag:
             for at, order in enumerate((["b", "a"], ["a", "b"], ["a", "b"])):
                 bag.write("/joint_states", joints(at, order, position=[1.0 + at, 5.0]), at)
@@ -126,7 +126,7 @@ class TestRecord:
         assert np.isnan(Run(tmp_path / "bag", fingers=["finger_1"]).record.contact_positions).all()
 
     def test_fingers_are_in_the_order_of_the_scenario(self, tmp_path: Path) -> None:
-        """Names of another hand would not do."""
+        """Names of another hand are not used."""
         record = random_record()
         said = {"scenario": resolved(load_scenario("paper"))}
         run = Run(write_record(tmp_path / "bag", record, custom_data=said))
@@ -144,7 +144,7 @@ class TestDesiredPose:
             ([(0, 1.0)], [1.0] * 5),
             ([(20, 1.0)], [-1.0, -1.0, 1.0, 1.0, 1.0]),
             ([(10, 2.0), (30, 3.0)], [-1.0, 2.0, 2.0, 3.0, 3.0]),
-            ([(10, 1.0), (10, 2.0)], [-1.0, 2.0, 2.0, 2.0, 2.0]),  # the last one holds
+            ([(10, 1.0), (10, 2.0)], [-1.0, 2.0, 2.0, 2.0, 2.0]),  # the last one counts
             ([(25, 1.0)], [-1.0, -1.0, -1.0, 1.0, 1.0]),  # its tick is not in the bag
             ([(50, 1.0)], [-1.0] * 5),
         ],
@@ -152,7 +152,7 @@ class TestDesiredPose:
     def test_holds_from_its_tick_on(
         self, poses: list[tuple[int, float]], in_force: list[float], tmp_path: Path
     ) -> None:
-        """Each pose is given by the tick at which it took effect and its x."""
+        """Each pose is given by its effective tick and its x."""
         with RunWriter(tmp_path / "bag") as bag:
             for row in range(5):
                 tick_only(bag, 10 * row, 100 + 100 * row)
@@ -183,7 +183,7 @@ class TestFolders:
         assert Run(folder).metrics.goal_reached is False
 
     def test_scenario_of_another_version(self, folder: Path) -> None:
-        """What was recorded is there nevertheless."""
+        """The recorded arrays are available nevertheless."""
         (folder / "scenario.yaml").write_text("duratoin: 3.0\n")
         run = Run(folder)
         assert "scenario.yaml: unknown key 'duratoin'" in run.scenario_problem
@@ -194,7 +194,7 @@ class TestFolders:
     def test_assumptions_are_those_of_a_hand_that_is_known(
         self, case: str, folder: Path, tmp_path: Path
     ) -> None:
-        """The hand's file may be lost, or another: topics tell the fingers too."""
+        """If the hand's file is missing or different, the topics define the fingers."""
         text = resolved(load_scenario("paper"))
         problem = ""
         if case == "lost":
@@ -222,12 +222,12 @@ class TestFolders:
     def test_bag_with_a_silent_hand(self, tmp_path: Path) -> None:
         with RunWriter(tmp_path / "bag") as bag:
             bag.bag.add_channel("/joint_states", "sensor_msgs/msg/JointState")
-        with pytest.raises(BagError, match="not a single tick"):
+        with pytest.raises(BagError, match="contains no ticks"):
             Run(tmp_path / "bag")
 
 
 def test_bag_metrics(tmp_path: Path) -> None:
-    """Twenty ticks, of which one is not answered and another has no k_f."""
+    """Twenty ticks, one of them unanswered and another without k_f."""
     record = random_record()
     with RunWriter(tmp_path / "bag") as bag:
         for row in range(len(record)):
@@ -283,7 +283,7 @@ def test_columns_for_tables(tmp_path: Path) -> None:
 
 
 def test_each_reset_begins_a_section_with_its_own_messages(tmp_path: Path) -> None:
-    """A node may say something of a new section just before its first tick is logged."""
+    """A node may publish a message of a new section just before its first tick is logged."""
     ms = 1_000_000
     with RunWriter(tmp_path / "bag") as bag:
         for section, ticks in enumerate((4, 3, 2)):
@@ -306,7 +306,7 @@ def test_each_reset_begins_a_section_with_its_own_messages(tmp_path: Path) -> No
 def test_a_section_ends_a_tenth_of_a_second_before_the_next_begins(
     late: int, tmp_path: Path
 ) -> None:
-    """What a node says of the next section by then belongs to that."""
+    """Later messages belong to the next section."""
     second = 10**9
     with RunWriter(tmp_path / "bag") as bag:
         for at, tick in enumerate((0, 1, 0)):
@@ -341,7 +341,7 @@ def test_only_the_first_command_behind_a_tick_of_the_last_run_answers_it(tmp_pat
 
 
 def test_a_run_that_a_user_steered_is_not_judged(tmp_path: Path) -> None:
-    """The summary next to the bag says so; where it cannot be read the goal judges."""
+    """The summary next to the bag decides; if it cannot be read, the goal applies."""
     write_record(tmp_path / "bag", random_record(3))
     assert not Run(tmp_path).steered
     for text, steered in (
@@ -375,7 +375,7 @@ def test_refusals_of_both_nodes_come_in_the_order_of_their_ticks(tmp_path: Path)
     run = Run(tmp_path / "bag")
     assert run.refusals == [(early, "b", "too far"), (late, "a", "too far")]
     assert [each.text for each in run.events if each.kind == "refusal"] == [
-        "b is refused: too far",
-        "a is refused: too far",
+        "b is rejected: too far",
+        "a is rejected: too far",
     ]
     assert run.requests == []

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A run is judged by its goal, and what touch cannot know is not held against it."""
+"""A run is judged by its goal; quantities unknown to touch do not count against it."""
 
 from __future__ import annotations
 

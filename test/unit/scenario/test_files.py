@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Scenario files as plain data: laid over each other, changed by keys, and their limits."""
+"""Scenario files as plain data: merged, changed by keys, and their limits."""
 
 import pytest
 import yaml
@@ -67,18 +67,18 @@ def test_changes_are_put_where_their_keys_say():
         put_changes(data, {"seed.a.b": 1})
 
 
-USERS = {"mode", "grasp_force", "maximum"}  # what the user asks of the regulator
+USERS = {"mode", "grasp_force", "maximum"}  # user settings of the regulator
 
 
 @pytest.mark.parametrize("base", ["gravity", "human_hold"])
 def test_no_controller_is_made_for_a_mass_or_friction_that_a_hand_cannot_know(base):
-    """Scenarios of a family differ in what happens, not in how the hand is controlled."""
+    """Scenarios of a family differ in their events, not in the control of the hand."""
 
     def control(name):
         scenario = load_scenario(name)
         regulator = scenario.slip_regulator.model_dump(exclude=USERS)
         controller = scenario.manipulation_controller.model_dump(
-            exclude={"grasp_force_limit", "imu"}  # which follow from the above and from the palm
+            exclude={"grasp_force_limit", "imu"}  # derived from the above and from the palm
         )
         return regulator, scenario.force_optimizer.model_dump(), controller
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What cannot work is said before anything starts, in one sentence."""
+"""Impossible scenarios are reported before the start, in one sentence."""
 
 import numpy as np
 import pytest
@@ -73,7 +73,7 @@ def test_what_cannot_work_is_refused_in_one_sentence(changes, error, message):
 
 
 def touching(folder, tips, **plant):
-    """Return the changes for a hand that touches an object with its tips at the given places."""
+    """Return the changes for a hand that touches an object with its tips at given places."""
     path = write_hand(folder, [3, 3, 3])
     changes = {"hand": str(path), "layout": "", "targets": []}
     theta = posture_for(Hand.load(str(path)), np.array(tips))
@@ -82,7 +82,7 @@ def touching(folder, tips, **plant):
 
 
 def test_normals_that_cannot_balance_are_refused(tmp_path):
-    """All fingers under a plate: they only push up, and nothing pushes down."""
+    """All fingers are under a plate: they only push up, and nothing pushes down."""
     bearings = 2.0 * np.pi * np.arange(3) / 3
     tips = np.stack([0.1 * np.cos(bearings), 0.1 * np.sin(bearings), np.full(3, 0.3)], axis=1)
     plate = {"size": [0.4, 0.4, 0.1], "position": [0.0, 0.0, 0.3 + 0.02 + 0.05]}
@@ -150,7 +150,7 @@ def test_a_law_of_the_user_s_own_is_asked_for_its_drive_too(tmp_path, body, erro
 
 @pytest.mark.parametrize(("damping", "is_stable"), [(0.042, True), (0.043, False), (0.5, False)])
 def test_damping_that_throws_the_object_away_is_refused_with_what_would_do(damping, is_stable):
-    """In the plant 0.035 holds the cube and 0.06 throws it away."""
+    """In the plant, 0.035 holds the cube and 0.06 throws it away."""
     chosen = load_scenario("human_hold", {"manipulation_controller.law.damping": damping})
     if is_stable:
         check_scenario(chosen)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Scenarios: what ships works, what is wrong is refused with its place."""
+"""Scenarios: the package's own are valid, and errors name the place."""
 
 import numpy as np
 import pytest
@@ -82,7 +82,7 @@ GRAVITY = (1.0, -2.0, 3.0)
 
 
 def test_a_finished_section_is_refused():
-    """Its defaults could contradict what the scenario says once for all nodes."""
+    """Its defaults could contradict the values shared by all nodes."""
     with pytest.raises(ValidationError, match="give 'plant' as a mapping, not as PlantConfig"):
         Scenario(plant=PlantConfig())
 
@@ -118,7 +118,7 @@ def test_a_changed_scenario_says_it_to_all_nodes_and_leaves_the_first_as_it_is()
         ),
         (
             "manipulation_controller: {law: {name: pid}}",
-            r"law.name is refused: 'pid' is not a law. Expected one of optimal, contact, kawamura",
+            r"law.name is invalid: 'pid' is not a law. Expected one of optimal, contact, kawamura",
         ),
         ("law: a\nmanipulation_controller: {law: b}", r"'law' is given twice"),
         (
@@ -201,7 +201,7 @@ def test_scenarios_that_extend_each_other_are_refused(tmp_path):
     for base in ("mine", "mine.yaml"):
         with pytest.raises(ConfigurationError, match="makes a loop: mine -> mine"):
             load(tmp_path, f"extends: {base}")
-    # A user's own `paper` may be built on that of the package.
+    # A user's own `paper` may extend that of the package.
     assert load(tmp_path, "extends: paper\nduration: 2", name="paper").duration == 2.0
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One step on arrays: rotations, friction and sliding of each finger, gaps, and what is seen."""
+"""One step on arrays: rotations, friction and sliding per finger, gaps, and visible contacts."""
 
 import numpy as np
 import pytest
@@ -26,7 +26,7 @@ ONE = {"object__size": (0.24, 0.2604, 0.2604)}  # only finger 3 touches
 
 
 class Scene:
-    """Hand and object of a plant at rest, of which steps are taken with chosen velocities."""
+    """Hand and object of a plant at rest, stepped with chosen velocities."""
 
     def __init__(self, friction=MU, **values):
         world = plant(H, **values)
@@ -42,7 +42,7 @@ class Scene:
         self.torque = self.jacobian.T @ pushes.ravel()
 
     def step(self, velocity=(0.0, 0.0, 0.0), spin=(0.0, 0.0, 0.0), rates=np.zeros(9)):
-        """Take a step with chosen velocities, which were the same before it."""
+        """Take a step with chosen velocities, equal to those before it."""
         v = np.concatenate([rates, velocity, spin])
         self.now = self.now._replace(velocities=v, before=v)
         return self.follow()
@@ -96,20 +96,20 @@ def test_each_finger_rubs_with_its_own_friction_and_slides_its_own_way():
     np.testing.assert_allclose(
         rubbing, -(MU * normal / speeds)[:, None] * after.sliding, rtol=1e-6, atol=1e-12
     )
-    # What slides is the point of the object against that of the tip, seen in the contact frame.
+    # Sliding is the motion of the object's point relative to the tip's, in the contact frame.
     points = scene.contacts.positions
     body = after.velocities[9:12] + np.cross(after.velocities[12:], points - start)
     tips = (scene.jacobian @ after.velocities[:9]).reshape(3, 3)
     seen = np.einsum("kji,kj->ki", scene.contacts.rotations, body - tips)
     np.testing.assert_allclose(after.sliding, seen[:, [0, 2]], atol=2e-4)
-    # From middle to middle of two steps the positions move by one step of these velocities.
+    # From middle to middle of two steps, the positions move by one step of these velocities.
     np.testing.assert_array_equal(after.slid, before)
     np.testing.assert_allclose(scene.follow().slid - before, H * speeds, rtol=5e-3)
     np.testing.assert_array_equal(before, [1e-3, 3e-3, 2e-3])
 
 
 def test_a_vector_is_carried_to_where_the_tangents_of_a_contact_point_now():
-    """Frames that flip about the normal within a step show the same force."""
+    """Frames that flip about the normal within a step yield the same force."""
     vector, normal = np.array([0.3, 2.0, -0.4]), np.array([2e-3, -1e-3, 1.0])
     normal /= np.linalg.norm(normal)
     near = normal + [-4e-3, 3e-3, 0.0]
@@ -122,12 +122,12 @@ def test_a_vector_is_carried_to_where_the_tangents_of_a_contact_point_now():
 @pytest.mark.parametrize(
     ("gap", "speed", "opening"),
     [
-        (6e-4, 1.0, -0.1),  # comes down: only what closes the gap of the middle of the step is left
-        (-2e-5, -0.004, 0.004),  # was too deep, is on its way out already
-        (-2e-5, 0.0, 0.004),  # was too deep: a fifth of it is taken back
-        (-1e-3, 0.0, 0.005),  # the same, but no faster than that
-        (6e-4, 0.2, -0.2),  # does not come down yet: nothing touches it
-        (-1e-4, -1.0, 1.0),  # is on its way out quickly
+        (6e-4, 1.0, -0.1),  # approaches: closes the rest of the gap at the middle of the step
+        (-2e-5, -0.004, 0.004),  # was too deep, already separates
+        (-2e-5, 0.0, 0.004),  # was too deep: a fifth of it is removed
+        (-1e-3, 0.0, 0.005),  # the same, up to the maximum speed
+        (6e-4, 0.2, -0.2),  # does not approach yet: no contact
+        (-1e-4, -1.0, 1.0),  # separates quickly
     ],
 )
 def test_a_gap_is_closed_in_one_step_and_a_penetration_in_five(gap, speed, opening):
@@ -136,7 +136,7 @@ def test_a_gap_is_closed_in_one_step_and_a_penetration_in_five(gap, speed, openi
     normal = scene.contacts.normals[2]
     start = scene.now.position + gap * normal
     scene.now = scene.now._replace(position=start)
-    # It also slides: that is no business of the gap.
+    # It also slides, which does not affect the gap.
     after = scene.step(-speed * normal + [0.07, 0.0, 0.04])
     arm = scene.contacts.positions[2] - (start - 0.5 * H * speed * normal)
     velocity, spin = after.velocities[9:12], after.velocities[12:]
@@ -146,7 +146,7 @@ def test_a_gap_is_closed_in_one_step_and_a_penetration_in_five(gap, speed, openi
 
 
 def without_contacts(scene, v):
-    """Return M in the middle of a step, shape (15, 15), and the velocities that no contact changes.
+    """Return M in the middle of a step, shape (15, 15), and the velocities without contacts.
 
     v are those at the start and of the step before, shape (15,).
     """
@@ -179,7 +179,7 @@ def test_impacts_take_energy_and_do_not_rebound(friction, mass):
             pushed, end = after.impulses[:, 1] > 0.0, after.velocities
             assert end @ matrix @ end <= (free @ matrix @ free) * (1.0 + 1e-12)
             if pushed.any():
-                # Seen from the fingertips, what they have struck is not on its way out.
+                # Relative to the fingertips, the object does not separate after the impact.
                 assert (after.rows @ end)[pushed, 1].max() < 1e-9
                 strikes += 1
                 break
@@ -187,7 +187,7 @@ def test_impacts_take_energy_and_do_not_rebound(friction, mass):
 
 
 def test_only_what_touches_or_is_pushed_is_seen():
-    """A gap of a micrometre is none, and a push is seen whatever rounding makes of the gap."""
+    """A gap of a micrometer is no contact; a push counts even if rounding leaves a gap."""
     size, position = np.array([0.2, 0.3, 0.4]), np.array([0.05, -0.02, 0.4])
     rotation = rotation_from_vector([0.4, -0.3, 0.6])
     faces = np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1.0]])

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Encoders: steps, noise, filtered rates, and a start that repeats."""
+"""Encoders: resolution, noise, filtered rates, and repeatability."""
 
 import numpy as np
 import pytest
@@ -47,7 +47,7 @@ def test_noise_has_its_size_and_repeats_after_a_reset():
 
 
 def test_the_noise_of_joints_is_not_that_of_the_skin():
-    """Which draws from its seed, and from a second stream of it."""
+    """The skin draws from its seed, and from a second stream of it."""
     noise = JointSensor(EncoderConfig(noise=1.0), 0.0, TICK, 4).step(THETA, RATES, EFFORT).theta
     for stream in (4, [4, 1]):
         skin = np.random.default_rng(stream).standard_normal(3)

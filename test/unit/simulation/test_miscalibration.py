@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Wrong knowledge: the true hand and gravity differ from the model, and touch is read with it."""
+"""Model errors: the true hand and gravity differ from the model, which interprets touch."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def test_larger_tips_touch_where_they_are_and_are_reported_where_the_model_is() 
 
 
 def test_a_turned_skin_turns_normal_and_force_alike() -> None:
-    """In the palm frame both turn by the same rotation, given in axes of the fingertip."""
+    """In the palm frame both rotate equally, as given in axes of the fingertip."""
     vector = np.array([0.05, -0.1, 0.08])
     made = loop()
     made.run(40)

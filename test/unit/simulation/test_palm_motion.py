@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A palm that turns: its way, and what a body and the fingers feel of it, computed twice."""
+"""A rotating palm: its motion, and the inertial forces on bodies and fingers, computed twice."""
 
 import numpy as np
 import pinocchio as pin

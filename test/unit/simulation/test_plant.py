@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The plant without contact: free bodies, pushes, energy, limits, and what it refuses."""
+"""The plant without contact: free bodies, pushes, energy, limits, and rejected input."""
 
 import numpy as np
 import pytest
@@ -77,7 +77,7 @@ def test_a_push_counts_in_the_middle_of_each_step():
 
 
 def spinning(step):
-    """Return an unequal body that has been spun up about all axes and is then left alone."""
+    """Return an asymmetric body that has been spun up about all axes and then moves freely."""
     twist = push(torque=(0.01, 0.12, 0.02), force=(0.1, 0.0, 0.0))
     world = plant(step, disturbances=[twist], object__inertia=UNEQUAL, **FAR)
     run(world, 0.1)
@@ -93,7 +93,7 @@ def drift_of_spin(step):
 
 
 def test_a_tumbling_body_keeps_angular_momentum_and_energy():
-    """Without torque both are constant while the spin itself changes, to second order."""
+    """Without torque both are constant while the spin changes, to second order."""
     coarse, fine = np.array(drift_of_spin(0.002)), np.array(drift_of_spin(0.001))
     assert (fine < 5e-5).all()
     assert (fine < 0.3 * coarse).all()
@@ -139,7 +139,7 @@ def test_a_tick_is_made_of_whole_steps():
 
 
 def test_a_reset_starts_the_same_motion_again_and_changes_no_state_of_before():
-    """Friction changes at its times again, too."""
+    """Changes of friction repeat, too."""
     changes = [FrictionChange(start=0.04, friction=0.5), FrictionChange(start=0.02, friction=0.1)]
     world = plant(
         gravity=(0.0, 0.0, -1.0),
@@ -191,7 +191,7 @@ def test_an_object_that_does_not_fit_is_refused():
 
 
 def test_a_turned_object_is_met_on_its_edges():
-    """At 45 degrees about z the fingers meet edges; the normals still point at the axis."""
+    """At 45 degrees about z the fingers touch edges; the normals still point at the axis."""
     edge = 0.2604 / 2.0**0.5
     world = plant(object__rotation=(0.0, 0.0, np.pi / 4.0), object__size=(edge, edge, 0.2604))
     state = world.state
@@ -217,7 +217,7 @@ def test_a_simulation_that_diverges_reports_it_and_can_restart():
 
 
 def test_a_step_with_a_joint_at_its_stop_runs_the_code_of_every_other_step(monkeypatch):
-    """It is compiled for arrays of one order, and again, for many seconds, for another."""
+    """The code is compiled for one array order; another would cost many seconds."""
     orders, step = [], plant_module.step
 
     def ordered(*args):
@@ -232,7 +232,7 @@ def test_a_step_with_a_joint_at_its_stop_runs_the_code_of_every_other_step(monke
 
 
 def test_a_joint_stops_at_its_limit_without_energy_and_leaves_it_freely():
-    """Each joint is driven to a limit, rests there, and comes back as if none was there."""
+    """Each joint is driven to a limit, rests there, and returns as if there were none."""
     world = plant(hand="human", initial_joints=[0.5, 0.1, 0.8], **FAR)
     lower, upper = world.hand.position_limits
     torque = np.tile([0.02, -0.02, 0.02], 3)
@@ -243,7 +243,7 @@ def test_a_joint_stops_at_its_limit_without_energy_and_leaves_it_freely():
         work = torque @ (state.theta - start)
         gained.append((energy_of(world) - before - work) / (before + 1e-9))
         assert (state.theta < upper + 1e-9).all() and (state.theta > lower - 1e-9).all()
-    assert max(gained[5:]) < 5e-3 and min(gained) < -0.05  # of a step, and of a stop
+    assert max(gained[5:]) < 5e-3 and min(gained) < -0.05  # per step, and at a stop
     stopped = np.where(torque > 0.0, upper, lower)
     np.testing.assert_allclose(state.theta, stopped, atol=2e-3)
     np.testing.assert_allclose(state.rates, 0.0, atol=1e-6)
@@ -254,7 +254,7 @@ def test_a_joint_stops_at_its_limit_without_energy_and_leaves_it_freely():
 
 
 def test_an_object_presses_on_a_finger_at_its_stop_as_on_a_wall():
-    """The contact laws hold, and what the finger bears the stop bears."""
+    """The contact laws hold, and the stop carries the load of the finger."""
     scenario = load_scenario("human_hold")
     world = Plant(scenario.plant)
     state = world.state

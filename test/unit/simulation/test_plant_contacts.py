@@ -17,7 +17,7 @@ def step_force(*force, start=0.0):
 
 
 class Holder:
-    """Keeps the posture stiffly around torques that make chosen contact forces."""
+    """Holds the posture stiffly around torques that produce chosen contact forces."""
 
     def __init__(self, world, forces, stiffness=200.0, damping=4.0):
         self.world, self.stiffness, self.damping = world, stiffness, damping
@@ -50,7 +50,7 @@ def shaken(seed, ticks=200, **values):
 @pytest.mark.parametrize("friction", [0.2, 0.8, 2.0])
 @pytest.mark.parametrize("layout", ["three_faces", "pinch"])
 def test_every_state_obeys_the_contact_laws(friction, layout):
-    """Whatever the torques do: pushing only, inside the cone, on it and against it when sliding."""
+    """For any torques: pushing only, inside the cone, on it and against the motion when sliding."""
     seen = set()
     for seed in range(3):
         for world, state in shaken(seed, object__friction=friction, layout=layout):
@@ -78,7 +78,7 @@ def test_every_state_obeys_the_contact_laws(friction, layout):
 
 @pytest.mark.parametrize("friction", [0.3, 100.0])
 def test_contact_forces_balance_both_sides(friction):
-    """Newton's third law: what the tips lose, J_h^T f, the object gains, G f."""
+    """Newton's third law: the tips lose J_h^T f, and the object gains G f."""
     step = 1e-4
     world = plant(
         step,
@@ -111,7 +111,7 @@ def test_contact_forces_balance_both_sides(friction):
 
 
 def work_and_energy(step):
-    """Return what a stuck grasp gained in energy, and the work that the joints did."""
+    """Return the energy gain of a sticking grasp, and the work of the joints."""
     world = plant(step, object__mass=0.2, gravity=(0.0, 0.0, -1.0))
     pushes = np.array([[-3.0, 0.4, 0.3], [3.0, 0.4, 0.3], [0.0, -0.6, 0.3]])
     torque, start, before = torque_for(world, pushes), world.state.theta, energy_of(world)
@@ -123,7 +123,7 @@ def work_and_energy(step):
 
 
 def test_a_stuck_grasp_neither_gains_nor_loses_energy():
-    """Sticking and rolling contacts do no work: energy is the work of the joints, less with h."""
+    """Sticking and rolling contacts do no work: the energy is the joints' work, better with h."""
     errors = []
     for step in (0.002, 0.001, 0.0005):
         gained, work = work_and_energy(step)
@@ -133,7 +133,7 @@ def test_a_stuck_grasp_neither_gains_nor_loses_energy():
 
 
 def test_nothing_creeps_under_a_load_inside_the_cone():
-    """Three seconds at nine tenths of the friction that is there: not a nanometre."""
+    """Three seconds at nine tenths of the friction limit: not a nanometer."""
     world = plant(object__friction=0.5, disturbances=step_force(0.0, 0.0, -4.5), **HEAVY)
     forces = squeeze(world.state, 10.0) + np.outer([0.25, 0.25, 0.5], [0.0, 0.0, 4.5])
     states = Holder(world, forces).run(3.0)
@@ -146,7 +146,7 @@ def test_nothing_creeps_under_a_load_inside_the_cone():
 
 
 def test_a_load_beyond_the_cone_slides_at_the_limit():
-    """Six newtons against a friction of five: the rest accelerates the object, tips stay put."""
+    """Six newtons against a friction of five: the rest accelerates the object; the tips rest."""
     world = plant(object__friction=0.5, disturbances=step_force(0.0, 0.0, -6.0), **HEAVY)
     forces = squeeze(world.state, 10.0) + np.outer([0.25, 0.25, 0.5], [0.0, 0.0, 5.0])
     states = Holder(world, forces).run(0.1)
@@ -154,7 +154,7 @@ def test_a_load_beyond_the_cone_slides_at_the_limit():
         assert (state.sliding[:, 1] < 0.0).all()  # z of the frames is palm z: it slides down
         np.testing.assert_allclose(state.forces[:, 2], 0.5 * state.forces[:, 1], rtol=1e-6)
     last = states[-1]
-    # Tips stay, so that each contact slides as far as the object goes down.
+    # The tips rest, so each contact slides as far as the object moves down.
     np.testing.assert_allclose(last.slid, 0.4098 - last.position[2], rtol=0.03)
     assert last.slid.min() > 1e-3
     np.testing.assert_allclose(last.velocity[2], -(6.0 - 5.0) / 0.2 * 0.1, rtol=0.02)
@@ -203,13 +203,13 @@ def test_contacts_roll_equally_far_over_tip_and_face():
         arcs += [np.linalg.norm(b - a, axis=1) for a, b in zip(before, after, strict=True)]
         before = after
     assert arcs.max() > 0.005
-    # Their difference is what `slid` shows, of second order in the step.
+    # Their difference is `slid`, of second order in the step.
     np.testing.assert_allclose(arcs[0], arcs[1], rtol=1e-4)
     assert world.state.slid.max() < 2e-6
 
 
 def test_a_grasp_far_away_turned_with_the_hand_behaves_the_same():
-    """The object's own frame is a matter of naming: corners turned back, body turned forth."""
+    """The object's own frame is arbitrary: its corners are turned back, its body forward."""
     turn = np.array([0.0, 0.0, np.pi / 2.0])
     corners = 0.1302 * np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
     pushes = np.array([[-3.0, 0.4, 0.3], [3.0, 0.4, 0.3], [0.0, -0.6, 0.3]])

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A run counts its ticks, ends, holds the joints, and begins anew as if nothing had been."""
+"""A run counts its ticks, ends, holds the joints, and restarts from the same state."""
 
 import numpy as np
 import pytest

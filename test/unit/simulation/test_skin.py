@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The simulated skin: what is true when nothing is wrong, and each way in which it errs."""
+"""The simulated skin: exact without errors, and each type of error."""
 
 import numpy as np
 import pytest
@@ -15,7 +15,7 @@ TICK = 2_000_000
 
 
 def truth(time=0.0, missing=()):
-    """Return true contacts that move slowly, and forces that say when they were measured."""
+    """Return true contacts that move slowly, and forces that encode their time."""
     points = HALF * np.array([[1.0, 0.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
     positions = points + [0.0, 0.0, 0.01 * time]
     quaternions = quaternion_from_rotation([contact_frame(-p / HALF) for p in points])
@@ -31,7 +31,7 @@ def sensor(**values):
 
 
 def readings(skin, ticks, missing=()):
-    """Return what the skin publishes at each of the ticks."""
+    """Return the skin's output at each of the ticks."""
     return [skin.step(i * TICK, truth(1e-9 * i * TICK, missing)) for i in range(ticks)]
 
 
@@ -103,7 +103,7 @@ def test_noise_may_change_while_running():
 
 
 def forces_of(skin, ticks, force, sliding=None, period=1_000_000):
-    """Return what a skin at 1 kHz feels of a force that may depend on the tick, shape (n, 3, 3)."""
+    """Return a 1 kHz skin's readings of a force that may depend on the tick, shape (n, 3, 3)."""
     still, out = truth(), []
     for i in range(ticks):
         true = TactileReading(still.positions, still.quaternions, force(i))
@@ -116,7 +116,7 @@ def constant(_):
 
 
 def test_a_location_settles_with_its_time_constant_and_a_new_one_shows_at_once():
-    """Three tips of their own size, under each of which the contact jumps by 0.3 rad."""
+    """Three tips of different sizes; under each, the contact jumps by 0.3 rad."""
     here, there = truth(), np.array([[-1.0, 0.0, 0.3], [1.0, 0.3, 0.0], [0.0, -1.0, -0.3]])
     there /= np.linalg.norm(there, axis=1)[:, None]
     frames = quaternion_from_rotation([contact_frame(n) for n in there])
@@ -133,12 +133,12 @@ def test_a_location_settles_with_its_time_constant_and_a_new_one_shows_at_once()
         np.testing.assert_allclose(shows(tick, turned), expected, atol=1e-7)
     assert np.isnan(shows(20, truth(missing=[1]))[1]).all()
     back = shows(21, here)
-    np.testing.assert_allclose(back[1], old[1], atol=1e-7)  # lost meanwhile, seen at once
-    assert np.abs(back[0] - old[0]).max() > 0.1  # the others go on settling
+    np.testing.assert_allclose(back[1], old[1], atol=1e-7)  # lost in between, reported immediately
+    assert np.abs(back[0] - old[0]).max() > 0.1  # the others continue settling
 
 
 def band(white, low, high, rate):
-    """Return band-limited noise out of white noise, shape (n, ...), by filters of SciPy."""
+    """Return band-limited noise from white noise, shape (n, ...), by filters of SciPy."""
     quick, slow = (1.0 - np.exp(-2.0 * np.pi * corner / rate) for corner in (high, low))
 
     def passed(signal):
@@ -149,7 +149,7 @@ def band(white, low, high, rate):
 
 
 def test_all_that_a_skin_adds_to_a_force_adds_up_in_order():
-    """Vibration, bandwidth, drift and noise, each of its own numbers out of the one seed."""
+    """Vibration, bandwidth, drift and noise, each with its own stream of the seed."""
     period, ticks, speeds = 1e-3, 40, np.array([0.02, 0.0, 0.3])
     skin = sensor(
         **{"rate": 1000.0, "seed": 7, "force_noise": 0.05, "bias_drift": 0.3, "bandwidth": 90.0},
@@ -166,14 +166,14 @@ def test_all_that_a_skin_adds_to_a_force_adds_up_in_order():
         force = constant(i) * (1.0 + 0.1 * i) + rms[:, None] * shaking[i]
         before = force if before is None else before + share * (force - before)
         zero = zero + 0.3 * np.sqrt(period) * drawn[i][2]
-        drift = np.einsum("kji,kj->ki", frames, zero)  # the zero wanders in palm axes
+        drift = np.einsum("kji,kj->ki", frames, zero)  # the zero drifts in palm axes
         np.testing.assert_allclose(found[i], before + drift + 0.05 * drawn[i][3], atol=1e-12)
 
 
 @pytest.mark.parametrize("bandwidth", [0.0, 20.0])
 @pytest.mark.parametrize(("pause", "unread"), [(5, 4), (100, 99), (101, 99), (700, 99)])
 def test_of_a_pause_a_second_of_samples_is_made_up_for(pause, unread, bandwidth):
-    """Edges of the band above half the rate count as that; a low-pass takes each sample in turn."""
+    """Band edges above half the rate are clipped to it; a low-pass takes each sample in turn."""
     skin = sensor(rate=100.0, seed=4, bandwidth=bandwidth, vibration={"gain": 10.0, "limit": 0.2})
     sliding, still = np.ones(3), truth()
     sensed = skin.step(0, still, sliding).forces - still.forces
@@ -188,7 +188,7 @@ def test_of_a_pause_a_second_of_samples_is_made_up_for(pause, unread, bandwidth)
     expected, follow = sensed, -np.expm1(-2.0 * np.pi * bandwidth / 100.0)
     for sample in shaking[1:]:
         expected = expected + follow * (sample - expected) if bandwidth else sample
-    is_long = bandwidth and pause > unread + 1  # then what was sensed before is forgotten further
+    is_long = bandwidth and pause > unread + 1  # then older readings have decayed further
     np.testing.assert_allclose(found, expected, atol=1e-4 if is_long else 1e-12)
 
 

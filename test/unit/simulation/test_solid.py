@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The object's shape: faces, edges, corners, what spans no solid, and random polyhedra."""
+"""The object's shape: faces, edges, corners, degenerate input, and random polyhedra."""
 
 import time
 
@@ -20,7 +20,7 @@ GOLDEN = (1.0 + 5.0**0.5) / 2.0
 
 
 def dodecahedron(decimals=None):
-    """Return a dodecahedron, as a user would type its corners with a few decimals."""
+    """Return a dodecahedron with corners rounded to a few decimals, as from a user."""
     corners = [[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]
     for a in (-1, 1):
         for b in (-1, 1):
@@ -31,7 +31,7 @@ def dodecahedron(decimals=None):
 
 
 def test_a_box_is_the_hull_of_its_corners():
-    """Its planes are written down, since looking for them would load a library."""
+    """Its planes are explicit, since computing them would load a library."""
     hull = ConvexPolyhedron(BOX.vertices)
     for ours, found in zip(BOX.shape, hull.shape, strict=True):
         np.testing.assert_allclose(ours, found, atol=1e-15)
@@ -57,7 +57,7 @@ def test_a_dodecahedron_has_pentagons():
 
 @pytest.mark.parametrize("decimals", [None, 8, 7, 6, 5, 4, 3])
 def test_corners_typed_with_few_decimals_leave_no_holes(decimals):
-    """Rounding bends the faces a little; every point above one must still find it."""
+    """Rounding bends the faces slightly; every point above one must still find it."""
     from scipy.spatial import ConvexHull
 
     corners = dodecahedron(decimals)
@@ -85,7 +85,7 @@ def test_what_spans_no_solid_is_refused(points):
 
 
 def test_many_corners_take_no_minutes():
-    """The planes of a face were once compared pair by pair: 3000 corners took more than one."""
+    """Comparing the planes pair by pair would take minutes for 3000 corners."""
     points = np.random.default_rng(1).normal(size=(1000, 3))
     start = time.process_time()
     solid = ConvexPolyhedron(points / np.linalg.norm(points, axis=1)[:, None])
@@ -147,7 +147,7 @@ random_numbers = st.integers(0, 2**32 - 1).map(np.random.default_rng)
 @settings(max_examples=60)
 @given(random_numbers, st.integers(4, 30), normals, st.floats(0.0, 1.0))
 def test_distance_and_normal_of_random_polyhedra(random, corners, direction, how_far):
-    """Outside they are those of the nearest point, inside those of the nearest face."""
+    """Outside, they refer to the nearest point; inside, to the nearest face."""
     solid = ConvexPolyhedron(random.uniform(-0.1, 0.1, (corners, 3)))
     inside = random.dirichlet(np.ones(len(solid.vertices))) @ solid.vertices
     point = inside + how_far * direction
@@ -166,7 +166,7 @@ def test_distance_and_normal_of_random_polyhedra(random, corners, direction, how
 @settings(max_examples=60)
 @given(random_numbers, normals)
 def test_box_against_clipping(random, direction):
-    """The nearest point of a box is the point, clipped to it."""
+    """The nearest point of a box is the point clipped to it."""
     half = random.uniform(0.02, 0.3, 3)
     point = direction * random.uniform(0.1, 1.0) + half * random.uniform(-1.0, 1.0, 3)
     clipped = np.clip(point, -half, half)

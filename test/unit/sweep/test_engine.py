@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Studies that keep their results: the same table for any number of workers, and resumed.
+"""Studies keep their results: the same table for any number of workers, also when resumed.
 
-The cluster is a real one: a scheduler and two workers.
+The cluster is real: a scheduler and two workers.
 """
 
 from __future__ import annotations
@@ -61,7 +61,7 @@ def test_two_processes_give_the_same_bytes(expected: bytes, tmp_path: Path) -> N
 
 
 def test_a_study_goes_on_where_it_was_interrupted(expected: bytes, tmp_path: Path) -> None:
-    """Ctrl-C keeps what is done, as a table too; so does a kill, but for a torn last line."""
+    """Ctrl-C keeps all finished runs, as a table too; a kill may lose the last line."""
 
     def interrupt(tally: Tally) -> None:
         if tally.done == 120:
@@ -93,7 +93,7 @@ def test_a_folder_that_cannot_be_written_is_said_in_a_sentence(tmp_path: Path) -
 def test_a_process_that_dies_ends_the_study_and_a_second_call_goes_on(
     expected: bytes, tmp_path: Path
 ) -> None:
-    with workers(2), pytest.raises(StudyError, match="a process died while it made a run"):
+    with workers(2), pytest.raises(StudyError, match="a process died during a run"):
         kept(tmp_path, run=trials.deadly)
     kept(tmp_path)
     assert (tmp_path / table.TABLE).read_bytes() == expected

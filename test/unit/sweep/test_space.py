@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Spaces: what the command line says, and where in it the runs are."""
+"""Spaces: their syntax on the command line, and the points in them."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ def test_a_whole_range_gives_each_number_alike() -> None:
 
 
 def test_ranges_are_sampled_by_a_latin_hypercube_that_repeats() -> None:
-    """A study that is continued in the middle finds the runs that it would have made."""
+    """A continued study finds the runs that it would have executed."""
     found = points(SPACE, 50, 3)
     for column in found.T:
         assert sorted((50 * column).astype(int)) == list(range(50))

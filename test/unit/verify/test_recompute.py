@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A recorded run through the controllers once more: identical, or the first tick is named."""
+"""A recorded run, recomputed: identical, or the first different tick is named."""
 
 from __future__ import annotations
 
@@ -48,20 +48,20 @@ GRIP = {
 
 @pytest.fixture(scope="module")
 def paper() -> tuple[Scenario, Record]:
-    """Return the paper's run, its first quarter of a second."""
+    """Return the first quarter of a second of the paper's run."""
     scenario = load_scenario("paper", {"duration": 0.25})
     return scenario, ClosedLoop(scenario).run()
 
 
 @pytest.fixture(scope="module")
 def gravity() -> tuple[Scenario, Record]:
-    """Return a run with all that the controllers can do: cones, observer, reference, user."""
+    """Return a run with all features of the controllers: cones, observer, reference, user."""
     scenario = load_scenario("user_grip", GRIP)
     return scenario, ClosedLoop(scenario).run(TICKS)
 
 
 def write(folder: Path, scenario: Scenario, record: Record, *changes: tuple[int, str, Any]) -> Run:
-    """Write a bag as the recorder would, with further messages given by row, topic and content."""
+    """Write a bag like the recorder, with further messages given by row, topic and content."""
     with RunWriter(folder / "bag", {"scenario": resolved(scenario)}) as bag:
         write_run(bag, scenario, record)
         for user in scenario.user_forces:
@@ -85,7 +85,7 @@ def test_same_configuration_gives_the_same_bits(
 
 
 def test_first_tick_that_differs_is_named(paper: tuple[Scenario, Record], tmp_path: Path) -> None:
-    """One bit of one number."""
+    """A single bit of a number."""
     scenario, record = paper
     record = copy.deepcopy(record)
     record.command[123, 4] = np.nextafter(record.command[123, 4], np.inf)
@@ -110,7 +110,7 @@ def test_the_regulator_feels_also_the_ticks_that_it_was_too_slow_to_answer(
 def without_touch(
     scenario: Scenario, record: Record, held: tuple[int, ...], silent: tuple[int, ...]
 ) -> Record:
-    """Return a run that missed the forces of some ticks: there it held, or did not answer."""
+    """Return a run without the forces of some ticks, during which it held or did not answer."""
     out = copy.deepcopy(record)
     regulator = SlipRegulator(scenario.slip_regulator, 3)
     controller = Controller(scenario.manipulation_controller)
@@ -139,7 +139,7 @@ def without_touch(
 def test_a_run_that_held_for_lack_of_touch_is_held_again(
     paper: tuple[Scenario, Record], tmp_path: Path
 ) -> None:
-    """Where it did not answer at all, neither does the recomputed one."""
+    """If it did not answer at all, the recomputed one does not either."""
     scenario, record = paper[0], paper[1].part(slice(40))
     missed = without_touch(scenario, record, held=(10, 11, 30), silent=(20,))
     assert (missed.command[[10, 30]] != record.command[[10, 30]]).all()
@@ -164,7 +164,7 @@ def test_cones_of_a_shadow_follow_the_friction_that_it_learns_itself(tmp_path: P
 def test_a_bag_cannot_import_a_law(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """A foreign bag may name any code; only what the user names is imported."""
+    """A foreign bag may name any code; only laws named by the user are imported."""
     (tmp_path / "mine.yaml").write_text("extends: paper\nduration: 0.1\nlaw: foreign_law:Mine")
     (tmp_path / "foreign_law.py").write_text(
         "from tactile_hand_ros.control.laws import OptimalLaw as Mine"
@@ -191,7 +191,7 @@ Changes = dict[int, Callable[[ClosedLoop], None]]
 
 
 class Changing(ClosedLoop):
-    """A closed loop whose controllers are changed at some ticks, as users change the nodes."""
+    """A closed loop whose controllers are changed at some ticks, like nodes by users."""
 
     def __init__(self, scenario: Scenario, changes: Changes) -> None:
         super().__init__(scenario)
@@ -227,7 +227,7 @@ LIVE: dict[str, dict[int, dict[str, Any]]] = {
 
 
 def test_live_parameters_count_from_their_tick_on(tmp_path: Path) -> None:
-    """All numbers to the bit, and without the messages there is a difference."""
+    """All numbers to the bit; without the messages there is a difference."""
     scenario = load_scenario("user_grip", GRIP)
     changes: Changes = {}
     events = []
@@ -300,9 +300,9 @@ def test_service_calls_count_from_their_tick_on(tmp_path: Path) -> None:
 
 
 def test_poses_that_wait_and_overtake_each_other_are_followed_as_they_were(tmp_path: Path) -> None:
-    """Of two that were sent before the hand knew a grasp, the newer is out of reach.
+    """Of two poses sent before the first grasp, the newer is out of reach.
 
-    The older one holds a tick later. One that is sent late holds at once, before one that waits.
+    The older one takes effect a tick later. A late one applies immediately, before a waiting one.
     """
     sent: list[tuple[int, int, list[float]]] = [
         (0, 0, [0.0, 0.05, 0.4]),
@@ -331,7 +331,7 @@ def test_poses_that_wait_and_overtake_each_other_are_followed_as_they_were(tmp_p
 def test_commands_tell_by_their_exit_code(
     paper: tuple[Scenario, Record], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """0 where all is identical, 1 where it is not, 2 where the law cannot be used."""
+    """0 if all is identical, 1 if not, 2 if the law is invalid."""
     scenario, record = paper
     run = str(write(tmp_path / "good", scenario, record).path)
     assert main(["replay", run, "--recompute"]) == 0

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What users changed in a run counts from its tick on, and not a tick earlier or later."""
+"""User changes in a run take effect exactly at their ticks."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ SCENARIO = load_scenario("paper", {"duration": 0.1, "targets": []})
 
 @pytest.fixture
 def run(tmp_path: Path) -> Run:
-    """Return the last of two runs in a bag, in each of which users changed something."""
+    """Return the last of two runs in a bag, both with user changes."""
     record = random_record(12)
     record.contact_positions[4, 1] = record.contact_quaternions[4, 1] = np.nan
     record.forces[6, 2, 1] = np.nan

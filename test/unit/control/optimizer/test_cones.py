@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Friction cones and the pyramids that stand for them, on forces made by hand."""
+"""Friction cones and their pyramids, on hand-made forces."""
 
 import math
 
@@ -17,12 +17,12 @@ MARGINS = np.array([0.13, 0.13, 0.03])
 
 
 def turned(size, angle):
-    """Return a tangential force of some size in a direction, with no normal part."""
+    """Return a tangential force of a size and direction, without a normal part."""
     return np.array([size * math.cos(angle), 0.0, size * math.sin(angle)])
 
 
 def bears(force, friction=0.5, finger=1, load=(0.0, 0.0, 0.0)):
-    """Return whether one of three contacts bears a force, next to two that bear theirs anyway."""
+    """Return whether one of three contacts holds a force, next to two that always hold theirs."""
     forces, loads = np.tile([0.0, 1.0, 0.0], (3, 1)), np.zeros((3, 3))
     forces[finger], loads[finger] = force, load
     mu = np.full(3, 0.1)
@@ -47,7 +47,7 @@ def test_the_margin_is_that_of_the_contact_nearest_to_its_own_cone_with_its_load
 @pytest.mark.parametrize("finger", range(3))
 @pytest.mark.parametrize("side", range(SIDES))
 def test_the_pyramid_has_twelve_sides_and_its_edges_on_the_cone(side, finger):
-    """Across a side it ends at cos 15 degrees of mu f_n, along an edge at mu f_n itself."""
+    """Across a side it reaches cos 15 degrees of mu f_n, along an edge mu f_n itself."""
     cone, normal = 0.5 * 2.0, np.array([0.0, 2.0, 0.0])
     for steps, reach in ((side, cone * math.cos(math.radians(15.0))), (side + 0.5, cone)):
         for share in (0.999, 1.001):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The optimization (13): known answers, reasons for none, and recovery from both."""
+"""The optimization (13): known solutions, reasons for infeasibility, and recovery from both."""
 
 import numpy as np
 import pytest
@@ -19,11 +19,11 @@ from tactile_hand_ros.errors import ConfigurationError
 from tactile_hand_ros.rotations import rotation_from_vector
 
 W = np.tile([10.0, 1.0, 10.0], 3)
-# Fingers 1 and 2 oppose each other and carry the push of finger 3 by friction. With t its fraction
-# on each, f_n = ((1 - 2t)/2, (1 - 2t)/2, 2t), of cost (1 - 2t)^2/2 + 4t^2 + 20t^2, minimal
-# at t = 1/26. Finger 1 sees +y as its x, finger 2 as its -x.
+# Fingers 1 and 2 oppose each other and carry the push of finger 3 by friction. With its fraction
+# t on each, f_n = ((1 - 2t)/2, (1 - 2t)/2, 2t), of cost (1 - 2t)^2/2 + 4t^2 + 20t^2, minimal
+# at t = 1/26. Finger 1 has +y as its x, finger 2 as its -x.
 THREE_FACES = np.array([[1 / 26, 6 / 13, 0.0], [-1 / 26, 6 / 13, 0.0], [0.0, 1 / 13, 0.0]])
-# Nothing but the normals can balance along y: the thumb pushes as much as both others.
+# Only the normals can balance along y: the thumb pushes as much as the other two together.
 PINCH = np.array([[0.0, 0.25, 0.0], [0.0, 0.25, 0.0], [0.0, 0.5, 0.0]])
 
 
@@ -163,7 +163,7 @@ def test_new_weights_take_effect_and_refused_ones_change_nothing():
 def test_minimum_normal_forces_that_add_up_to_more_than_one_are_rejected():
     assert optimizer(fingers=3, minimum_normal=0.3).config.minimum_normal == 0.3
     assert optimizer(fingers=4, minimum_normal=0.2499).config.minimum_normal == 0.2499
-    for share in (0.25, 0.3):  # of a quarter each nothing is left to share
+    for share in (0.25, 0.3):  # with a quarter each, nothing is left to share
         with pytest.raises(ConfigurationError, match=rf"= {share}: 4 contacts.*below 0.25"):
             optimizer(fingers=4, minimum_normal=share)
 
@@ -215,7 +215,7 @@ def test_osqp_shapes_f_only_where_it_is_asked_for(solver):
 
 
 def limited(program, **values):
-    """Let the OSQP of a program give up early."""
+    """Let the OSQP of a program stop early."""
     program._set_up()
     program._osqp.update_settings(**values)
 
@@ -229,7 +229,7 @@ def test_osqp_finds_the_optimum_to_its_last_digits(grasp, least):
 
 
 def test_an_answer_counts_by_its_residual_where_osqp_stops_at_its_limit():
-    """No step of OSQP is enough, but what the exact method finds has no residual."""
+    """OSQP never converges, but the exact solution has no residual."""
     solver = optimizer(solver="osqp")
     limited(solver._program, max_iter=1)
     found = solver.solve(three_faces())

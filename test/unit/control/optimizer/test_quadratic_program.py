@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Strictly convex problems: certified, the same from any start and by OSQP, none where none is."""
+"""Strictly convex problems: optimal by certificate, from any start and by OSQP, or infeasible."""
 
 import itertools
 
@@ -46,7 +46,7 @@ def corner(rows, bounds, price):
 @settings(max_examples=60)
 @given(grasps(), st.floats(0.1, 1.0), st.integers(0, 2**32 - 1), st.sampled_from([0.0, 0.05]))
 def test_what_is_optimal_proves_it(contacts, friction, seed, minimum):
-    """A strictly convex problem: stationary, feasible and pushing multipliers are the optimum."""
+    """For a strictly convex problem, stationarity, feasibility and positive multipliers suffice."""
     k = len(contacts.positions)
     load = 0.3 * np.random.default_rng(seed).standard_normal((k, 3))
     forces, missing = shaped(contacts, Cones(np.full(k, friction), load), minimum)
@@ -75,7 +75,7 @@ def test_a_load_that_changes_little_takes_one_system():
 
 @pytest.mark.parametrize("start", range(2**4))
 def test_every_start_ends_at_the_same_point(start):
-    """Also from sets that contradict each other, and with a row twice: a degenerate corner."""
+    """Even from contradictory active sets, and with a duplicate row: a degenerate corner."""
     rows = np.vstack([-np.eye(3), [[-1.0, 0.0, 0.0]]])
     held = np.array([bool(start >> i & 1) for i in range(4)])
     problem = corner(rows, [0.0, 0.0, 0.0, 0.0], [8.0, -2.0, 0.0])
@@ -85,7 +85,7 @@ def test_every_start_ends_at_the_same_point(start):
 
 
 def test_an_inequality_that_reaches_no_further_is_let_go():
-    """The first to be let in leaves no freedom for the second, and is not active in the end."""
+    """The first active one leaves no freedom for the second, and is inactive in the end."""
     problem = corner([[-10.0, 0.0], [-2.0, 1.0]], [0.0, -3.0], [6.0, 0.0])
     held = np.zeros(2, dtype=bool)
     x, y, _ = solve_problem(problem, held)
@@ -125,7 +125,7 @@ def test_without_an_exact_answer_osqp_is_asked_and_the_next_problem_is_none_the_
     optimizer = ConeOptimizer(np.tile(WEIGHTS, 3), 0.0)
     expected, _ = optimizer.solve(balance, cones)
     twice = balance.copy()
-    twice[:, 5] = twice[:, 4]  # the exact solution wants independent rows, OSQP does not
+    twice[:, 5] = twice[:, 4]  # the exact solution needs independent rows, OSQP does not
     forces, missing = optimizer.solve(twice, cones)
     assert missing < 1e-4
     np.testing.assert_allclose(twice.T @ forces.ravel(), 0.0, atol=1e-4)
@@ -133,7 +133,7 @@ def test_without_an_exact_answer_osqp_is_asked_and_the_next_problem_is_none_the_
 
 
 def uneven(seed, n=4, m=7):
-    """Return a problem of uneven numbers with a point inside, and its optimum by brute force."""
+    """Return a problem of irregular numbers with an interior point, and its brute-force optimum."""
     random = np.random.default_rng(seed)
     weights, price = random.uniform(0.3, 4.0, n), 6.0 * random.standard_normal(n)
     equal, rows, inside = (random.standard_normal(shape) for shape in ((1, n), (m, n), n))
@@ -154,7 +154,7 @@ def uneven(seed, n=4, m=7):
     return problem, *best
 
 
-# Linear systems that each of the problems takes from nothing, one a step of the method.
+# Number of linear systems that each problem solves from a cold start, one per step.
 TAKEN = {0: 5, 1: 7, 2: 7, 3: 5, 4: 3, 5: 5}
 
 
@@ -177,7 +177,7 @@ def test_uneven_problems_have_the_optimum_of_all_sets_in_known_steps(seed):
 
 
 def test_the_residual_is_the_largest_of_all_conditions():
-    """Relative to the largest unknown above 1, the slope to the largest weight as well."""
+    """Relative to the largest unknown above 1, the slope also to the largest weight."""
     for seed in range(8):
         problem, *_ = uneven(seed)
         random = np.random.default_rng(seed)
@@ -228,7 +228,7 @@ LOPSIDED = contacts_at(
 
 
 def documented(balance, weights, minimum, friction, load):
-    """Return f* and t of the problem as its documentation writes it, by another method."""
+    """Return f* and t of the documented problem, by another method."""
     k, largest = len(friction), weights.max()
     angles = np.radians(30.0) * np.arange(12)
 
@@ -260,7 +260,7 @@ def documented(balance, weights, minimum, friction, load):
 @pytest.mark.parametrize(("size", "violated"), [(0.02, False), (0.1, True), (3.0, True)])
 @pytest.mark.parametrize("minimum", [0.0, 0.1])
 def test_the_problem_is_the_documented_one(size, violated, minimum):
-    """Weights, friction and load differ from contact to contact; t as the price of a cone."""
+    """Weights, friction and load differ between contacts; t is the price of a cone."""
     random = np.random.default_rng(3)
     weights, friction = random.uniform(0.5, 12.0, 12), np.array([0.9, 1.5, 1.1, 1.3])
     load = size * random.standard_normal((4, 3))
@@ -278,7 +278,7 @@ def test_minimum_normal_forces_without_a_solution_give_none():
 
 
 def test_an_exact_answer_that_has_lost_its_digits_is_not_taken():
-    """Weights that differ a billionfold leave some tens of billionths of its conditions."""
+    """Weights that differ by a factor of 1e9 leave residuals of some 1e-8."""
     balance = scaled_balance(three_faces().positions, three_faces().rotations)
     cones = Cones(np.full(3, 0.05), np.zeros((3, 3)), wanted=np.full((3, 12), -0.01))
     for large, is_asked in ((1e6, False), (1e9, True)):
@@ -290,7 +290,7 @@ def test_an_exact_answer_that_has_lost_its_digits_is_not_taken():
 
 @pytest.mark.parametrize("seed", range(3))
 def test_inequalities_may_be_written_in_any_unit(seed):
-    """The rows that hold miss their bounds by rounding, in units that make it a large number."""
+    """Active rows miss their bounds by rounding, which is a large number in some units."""
     problem, expected, active = uneven(seed)
     held = np.zeros(7, dtype=bool)
     large = problem._replace(rows=1e7 * problem.rows, bounds=1e7 * problem.bounds)

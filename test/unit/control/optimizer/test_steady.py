@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""f* from tick to tick: steady under noise, balanced, and immediately where a cone asks for it."""
+"""f* over ticks: steady under noise, balanced, and immediate if a cone requires it."""
 
 import numpy as np
 import pytest
@@ -103,7 +103,7 @@ def test_the_nearest_forces_in_balance_are_those_of_the_pseudoinverse():
 
 @pytest.mark.parametrize("share", [0.0, 0.3])
 def test_it_goes_until_each_side_of_each_pyramid_is_met_and_all_the_way_if_one_never_is(share):
-    """Friction and load differ from contact to contact."""
+    """Friction and load differ between contacts."""
     balance = scaled_balance(LOPSIDED.positions, LOPSIDED.rotations)
     random, kinds = np.random.default_rng(4), set()
     for _ in range(60):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The slip detector alone, on forces made by hand."""
+"""The slip detector alone, on hand-made forces."""
 
 import numpy as np
 import pytest
@@ -11,7 +11,7 @@ DT, NOTHING = 0.001, [np.nan] * 3
 
 
 def normals_of(contacts):
-    """Return normals along y, as columns of frames: those that contacts have."""
+    """Return normals along y, as columns of contact frames."""
     return np.tile(np.eye(3), (contacts, 1, 1))[:, :, 1]
 
 
@@ -19,7 +19,7 @@ NORMAL = normals_of(1)
 
 
 def run(forces, detector=None, dt=DT, normal=NORMAL, fresh=None):
-    """Return what a detector reports of the forces of one contact, one a tick."""
+    """Return the detector's states for the forces of one contact, one per tick."""
     detector = detector or SlipDetector(SlipDetectorConfig(), 1)
     steps = np.broadcast_to(dt, len(forces))
     told = []
@@ -43,7 +43,7 @@ def slips_once(ticks=500, **how):
 
 
 def test_false_alarms_are_as_rare_as_they_are_asked_to_be():
-    """A thousand contacts for 5 s, where one in an hour of each is accepted: 1.4 altogether."""
+    """A thousand contacts for 5 s, at one accepted alarm per contact and hour: 1.4 in total."""
     detector = SlipDetector(SlipDetectorConfig(false_alarm_time=3600.0), 1000)
     random, normals, new = np.random.default_rng(0), normals_of(1000), np.ones(1000, bool)
     before, alarms = np.zeros(1000, dtype=int), 0
@@ -74,7 +74,7 @@ def test_sliding_is_found_within_eight_samples_at_any_rate(rate):
 
 @pytest.mark.parametrize("axis", [[1.0, 2.0, 0.5], [0.0, 0.0, 1.0], [0.0, 1e-3, 0.0]])
 def test_what_acts_along_the_internal_force_is_no_slip(axis):
-    """However large; a shake across it of the same size is."""
+    """However large; a vibration across it of the same size is a slip."""
     axis, random = np.array(axis), np.random.default_rng(3)
     across = np.cross(axis, [0.6, 0.0, 0.8])
     found = []
@@ -91,7 +91,7 @@ def test_what_acts_along_the_internal_force_is_no_slip(axis):
 @pytest.mark.parametrize("size", [0.5, 3.0, 30.0])
 @pytest.mark.parametrize("stays", [True, False])
 def test_a_push_is_no_slip(size, stays):
-    """That stays, or shows in one sample only."""
+    """Neither a lasting one nor one in a single sample."""
     forces = sticking(1000)
     forces[500 : None if stays else 501, 0] += size
     assert not (run(forces) == SLIP).any()
@@ -100,7 +100,7 @@ def test_a_push_is_no_slip(size, stays):
 @pytest.mark.parametrize("seed", range(5))
 @pytest.mark.parametrize("slides", [False, True])
 def test_commands_that_are_late_now_and_then_are_no_slip_and_hide_none(seed, slides):
-    """A load of 4 N within 20 ms at 500 Hz, late by 1 to 3 ticks: it jerks along its course."""
+    """A load of 4 N within 20 ms at 500 Hz, delayed by 1 to 3 ticks: jitter along its course."""
     random = np.random.default_rng(seed)
     ticks = np.maximum.accumulate(np.arange(400) - random.integers(1, 3, 400, endpoint=True))
     course = 1.0 - np.exp(-np.maximum(ticks - 300, 0) / 10.0)
@@ -123,7 +123,7 @@ def test_a_gap_is_no_slip_whatever_the_load_did_in_it(gap):
 
 
 def test_a_repeated_sample_counts_for_nothing():
-    """A skin at 250 Hz under ticks at 1 kHz is judged as one whose samples come by themselves."""
+    """A 250 Hz skin with 1 kHz ticks is judged like one with single samples."""
     samples = slips_once()
     slow = run(np.repeat(samples, 4, axis=0), fresh=np.tile([1, 0, 0, 0], len(samples)) > 0)
     alone = run(samples, dt=4 * DT)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Friction of the contacts: learned from slips and sticks, and from nothing else."""
+"""The friction estimate is learned only from slips and sticking contacts."""
 
 import itertools
 import math
@@ -60,7 +60,7 @@ def test_what_is_not_known_is_explored_within_one_deviation():
 
 
 def test_after_a_slip_it_is_explored_as_it_becomes_uncertain():
-    """At first a tenth as fast, and a false alarm is forgotten within minutes, not seconds."""
+    """Initially a tenth as fast, and a false alarm is forgotten within minutes, not seconds."""
     made = estimator(explore=0.05, forget=300.0)
     shown = slip(made, [0.15] * 3, [0, 1, 2])
     feel(made, [0.05] * 3, [STICK] * 3, 500, dt=0.02)
@@ -72,7 +72,7 @@ def test_after_a_slip_it_is_explored_as_it_becomes_uncertain():
 
 
 def test_nothing_is_learned_while_nothing_slips():
-    """The mean stays for good, and the variance is that of the prior."""
+    """The mean stays forever, and the variance is that of the prior."""
     made = estimator()
     feel(made, [0.2] * 3, [STICK] * 3, 500, dt=10.0)
     np.testing.assert_array_equal(made.estimate, PRIOR)
@@ -158,7 +158,7 @@ def test_noise_and_a_single_wild_sample_prove_nothing():
 
 
 def test_a_contact_that_the_grasp_force_has_caught_shows_nothing_more():
-    """The detector still reports slip, its newest samples do not."""
+    """The detector still reports slip, but its newest samples do not show it."""
     plain, caught = estimator(), estimator()
     for made in (plain, caught):
         slip(made, [0.3] * 3, [0], noise=0.0)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The grasp force that a user asks for: inside limits and without jumps."""
+"""The user's grasp force: within limits and without jumps."""
 
 import numpy as np
 import pytest
@@ -39,7 +39,7 @@ def test_rises_and_falls_at_its_rates_and_lands_exactly_on_the_goal():
     for force, goal, rate in ((up, 20.0, 50.0), (down, 5.0, 20.0)):
         steps = np.abs(np.diff(force))
         assert steps.max() == pytest.approx(rate * 0.002)
-        assert (np.diff(np.abs(force - goal)) <= 0.0).all()  # neither overshoots nor turns back
+        assert (np.diff(np.abs(force - goal)) <= 0.0).all()  # no overshoot, no reversal
         assert force[-1] == pytest.approx(goal, abs=1e-6)
     # 12.5 N at full rate, then exponentially with the time constant.
     assert up[125] == pytest.approx(5.0 + 0.252 * 50.0, abs=1e-9)
@@ -117,7 +117,7 @@ FORCES = np.array([[0.4, 2.6, 1.8], [-0.3, 2.2, 0.9], [0.2, 1.1, 0.3]])
 
 
 def run(slip, ticks, slides=(), contacts=None, forces=FORCES, seed=0):
-    """Return all that is told at each tick while some fingers slide, 2 ms apart from 0 on."""
+    """Return all outputs at ticks 2 ms apart, while some fingers slide."""
     told, random = [], np.random.default_rng(seed)
     rms = np.array([0.15 if finger in slides else 0.005 for finger in range(3)])[:, None]
     for i in range(ticks):
@@ -146,7 +146,7 @@ def test_a_regulator_that_was_reset_equals_a_new_one(slides):
 @pytest.mark.parametrize("mode", ["user", "auto"])
 @pytest.mark.parametrize("lost", [0, 1])
 def test_a_finger_without_a_contact_tells_nothing_whatever_force_it_reports(mode, lost):
-    """A skin that has drifted may report some; here it would prove a friction of 0.7 and more."""
+    """A skin with drift may report a force; here it would imply a friction of 0.7 and more."""
     positions, slip = three_faces().positions, regulator(mode=mode)
     positions[lost] = np.nan
     run(slip, 200, contacts=Contacts(positions, three_faces().rotations))
@@ -166,7 +166,7 @@ def test_a_start_outside_the_limits_is_refused():
 
 
 def test_touch_does_not_change_what_the_user_asked_for():
-    """In the mode `user` a regulator that measures a heavy load still gives what was asked."""
+    """In the mode `user`, the regulator ignores a heavy measured load."""
     from support.plants import plant
 
     contacts = plant().state.contacts
@@ -176,7 +176,7 @@ def test_touch_does_not_change_what_the_user_asked_for():
 
 
 def test_a_change_of_mode_makes_no_jump():
-    """The grasp force falls to what the user asks for, and rises to it, at the user's rates."""
+    """The grasp force falls or rises to the requested one at the user's rates."""
     from support.plants import plant
 
     contacts, forces = plant().state.contacts, np.array([[0.5, 2.0, 0.8]] * 3)
@@ -195,13 +195,13 @@ def test_a_change_of_mode_makes_no_jump():
     assert down[0] == needed and np.diff(down).min() >= -20.0 * 0.002 - 1e-9
     assert down[-1] == pytest.approx(6.0, abs=1e-6)
     slip.request(30.0)
-    assert change("auto", 1500, 500)[-1] <= needed  # the user's wish does not count there
+    assert change("auto", 1500, 500)[-1] <= needed  # the user's request does not count there
     up = change("shared", 2000, 1000)
     assert np.diff(up).max() <= 50.0 * 0.002 + 1e-9 and up[-1] == pytest.approx(30.0, abs=1e-6)
 
 
 def parted(finger):
-    """Return contacts of which one is missing."""
+    """Return contacts with one missing."""
     positions = three_faces().positions.copy()
     positions[finger] = np.nan
     return Contacts(positions, three_faces().rotations)
@@ -219,7 +219,7 @@ def test_with_a_contact_lost_the_grasp_force_doubles_and_never_falls(finger):
 
 @pytest.mark.parametrize("lasts", [5, 40])
 def test_a_contact_that_fails_to_report_is_no_load_however_long_k_f_follows(lasts):
-    """The forces of the others stay in proportion to k_f, as of a grasp without a load."""
+    """The other forces stay proportional to k_f, as in a grasp without load."""
     slip, k_f = regulator(mode="auto", maximum=400.0), 10.0
     contacts, gone = three_faces(), parted(1)
     shape = FORCES / FORCES[:, 1].sum()
@@ -234,7 +234,7 @@ def test_a_contact_that_fails_to_report_is_no_load_however_long_k_f_follows(last
 
 
 def test_the_load_that_has_torn_a_contact_off_is_carried_by_the_others_and_counts():
-    """As if the contact were still there and carried nothing; k_f follows within three ticks."""
+    """As if the contact were still there without a force; k_f follows within three ticks."""
     slip = regulator(mode="auto", grasp_force=4.0, maximum=200.0, reserve=NO_RESERVE)
     run(slip, 300)
     torn = FORCES + np.array([[0.0, 1.0, 3.0], [0.0, 2.0, 3.0], [0.0, 0.0, 0.0]])
@@ -243,7 +243,7 @@ def test_the_load_that_has_torn_a_contact_off_is_carried_by_the_others_and_count
         found = slip.step(i * TICK, parted(2), torn)
     assert min(found, slip.needed) > 20.0  # and it rises by 8 N a tick
     again = regulator(mode="auto", grasp_force=4.0, maximum=200.0, reserve=NO_RESERVE)
-    again.step(0, parted(2), torn)  # never whole: nothing is known of the grasp
+    again.step(0, parted(2), torn)  # never complete: the grasp is unknown
     assert np.isnan(again.needed)
 
 
@@ -253,7 +253,7 @@ def carried(slip, contacts, forces, at=1000):
 
 
 def thin(margin):
-    """Return contacts nearly on a line; of a height h over it h / sqrt(3) is the margin."""
+    """Return nearly collinear contacts; height h over the line gives a margin of h / sqrt(3)."""
     height = margin * np.sqrt(3.0)
     points = 0.1 * np.array([[-1.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, height, 0.0]])
     return contacts_at(points, [[0.0, 1.0, 0.0], [0.0, 1.0, 0.0], [0.0, -1.0, 0.0]])
@@ -261,7 +261,7 @@ def thin(margin):
 
 @pytest.mark.parametrize("mode", ["user", "auto"])
 def test_what_is_carried_is_the_load_in_contact_frames_usable_friction_and_a_reserve(mode):
-    """The load by the pseudoinverse of G~ in contact frames."""
+    """The load is expressed by the pseudoinverse of G~ in contact frames."""
     grasp = moved(three_faces(), rotation_from_vector([0.4, -1.1, 0.7]), np.array([0.1, 0.0, 0.3]))
     slip = regulator(mode=mode, reserve={"fraction": 0.5}, reflex={"margin": 0.25})
     found, balance = carried(slip, grasp, FORCES), balance_in_frames(grasp)
@@ -327,7 +327,7 @@ def test_a_reserve_is_kept_up_to_four_fifths_of_the_limit_and_a_need_to_all_of_i
 
 
 def test_a_tick_that_comes_twice_changes_nothing():
-    """Whatever it brings the second time."""
+    """Whatever the repeated message contains."""
     once, twice = regulator(mode="auto"), regulator(mode="auto")
     random = np.random.default_rng(4)
     for i in range(200):
@@ -341,7 +341,7 @@ def test_a_tick_that_comes_twice_changes_nothing():
 
 @pytest.mark.parametrize("late", [1, 8])
 def test_a_rejected_touch_changes_neither_the_grasp_force_nor_what_was_learned(late):
-    """Afterwards the friction is that of a hand without the false forces, and k_f no lower."""
+    """Afterwards the friction is as without the false forces, and k_f is no lower."""
     config = {"mode": "auto", "maximum": 60.0}
     misled, blind = regulator(**config), regulator(**config)
     wrong = FORCES * np.array([[-3.0, 3.0, -3.0], [1.0, 1.0, 1.0], [1.0, 1.0, 1.0]])
@@ -366,7 +366,7 @@ def test_a_rejected_touch_changes_neither_the_grasp_force_nor_what_was_learned(l
 
 
 def test_a_rejected_touch_leaves_neither_friction_nor_load_behind():
-    """A false slip lowers the friction and a false load raises the margin; both are taken back."""
+    """A false slip lowers the friction and a false load raises the margin; both are reverted."""
     slip, random = regulator(mode="auto", maximum=200.0), np.random.default_rng(3)
     run(slip, 300)
     known, ready = slip.learned_friction, slip.ready
@@ -395,12 +395,12 @@ def test_a_load_that_has_come_while_touch_was_doubted_is_met_at_once():
 
 
 def test_while_the_joints_are_held_the_load_counts_and_slips_do_not():
-    """A guard hands over to k_f: one from before the load would drop the object."""
+    """A guard hands over to k_f: a value from before the load would drop the object."""
     slip, random = regulator(mode="auto", maximum=200.0), np.random.default_rng(3)
     heavy = FORCES + [[0.0, 0.0, 2.0], [0.0, 0.0, 2.0], [0.0, 0.0, 0.0]]
     run(slip, 300)
     known, before = slip.learned_friction, slip.grasp_force
-    for i in range(300, 310):  # the hold sets in with a shock
+    for i in range(300, 310):  # the hold starts with a shock
         shaken = 4.0 * FORCES * [0.2, 1.0, 0.2] + 0.4 * random.standard_normal((3, 3))
         slip.step(i * TICK, three_faces(), shaken)
     assert (slip.learned_friction < 0.9 * known).any()
@@ -441,16 +441,16 @@ def test_what_is_released_and_grasped_again_may_be_another_object():
 
 
 def turned(contacts, rotation):
-    """Return contacts in a turned hand, with the frames that the skin of that hand reports."""
+    """Return contacts in a rotated hand, with the frames reported by the skin of that hand."""
     frames = np.array([contact_frame(n) for n in contacts.normals @ rotation.T])
     return Contacts(contacts.positions @ rotation.T, frames)
 
 
 @pytest.mark.parametrize("way", ["x to z", "y to z", "random 1", "random 2"])
 def test_the_palm_may_be_turned_in_any_way(way):
-    """Also so that a normal wavers about palm z, where contact frames flip; with slips and a load.
+    """With slips and a load, and a normal near palm z, where contact frames flip.
 
-    Everything agrees to rounding.
+    All results agree to rounding.
     """
     rotation, random = dict(orientations(2, seed=5))[way], np.random.default_rng(1)
     slips = [regulator(mode="auto", maximum=200.0) for _ in range(2)]
@@ -479,7 +479,7 @@ def test_a_regulator_without_a_past_keeps_its_grasp_force_while_touch_is_doubted
 
 @pytest.mark.parametrize(("mode", "begins"), [("auto", True), ("shared", True), ("user", False)])
 def test_a_new_regulator_starts_with_the_measured_grasp_force(mode, begins):
-    """The one before may have died while the hand held with more than what is configured."""
+    """A crashed regulator may have held with more than the configured grasp force."""
     grasp = three_faces()
     forces = in_palm(grasp.rotations, FORCES, 1.0)
     measured = split(grasp.positions, grasp.normals, forces).grasp_force

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The grasp force that a touched object needs: steady under noise, quick under load."""
+"""The required grasp force of a touched object: steady under noise, quick under load."""
 
 import math
 
@@ -32,7 +32,7 @@ def required(**reserve):
 
 
 def step(need, parts, friction=MU, dt=DT, **values):
-    """Return the answer to a tick where all friction may be used."""
+    """Return the answer to a tick when all of the friction may be used."""
     return need.step(parts, UP, friction, values.pop("usable", friction), dt, **values)
 
 
@@ -47,7 +47,7 @@ def test_it_is_the_load_over_fraction_and_friction():
 
 
 def test_noise_on_a_light_finger_does_not_raise_it():
-    """0.3 N with 10 mN of noise, with a load at the edge of what that finger can bear."""
+    """0.3 N with 10 mN of noise, with a load at that finger's limit."""
     load = WEIGHT.copy()
     load[2] = [0.0, 0.0, 0.1]
     needs = follow(fresh(), load, 2000, noise=0.01)[200:]
@@ -69,7 +69,7 @@ def test_reset_forgets():
 
 
 def ramped(finger, rate, ticks=100):
-    """Return what is needed where the load of one finger, (0.6, 0, 0.8) N, grows along itself."""
+    """Return the need while the load of one finger, (0.6, 0, 0.8) N, grows along itself."""
     need = fresh()
     shape = SHARES[:, None] * [0.0, 1.0, 0.0]
     load = np.zeros((3, 3))
@@ -82,13 +82,13 @@ def ramped(finger, rate, ticks=100):
 @pytest.mark.parametrize("finger", range(3))
 @pytest.mark.parametrize("rate", [20.0, 2.0, -8.0])
 def test_what_will_be_there_after_the_lead_counts(finger, rate):
-    """10 ms ahead of a load that grows evenly."""
+    """10 ms ahead, for a load that grows steadily."""
     load = 1.0 + rate * (0.099 + 0.01)
     assert ramped(finger, rate) == pytest.approx(load / (SHARES[finger] * OWN[finger]), rel=1e-6)
 
 
 def test_a_shape_is_followed_slowly():
-    """After 10 ms of 1 ms ticks, with a time constant of 30 ms; a firmer sample counts for more."""
+    """After 10 ms of 1 ms ticks, with a time constant of 30 ms; a firmer sample has more weight."""
     need, load = fresh(), np.array([[0.0, 0.0, 1.0], [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
     step(need, parts(load, 6.0 * SHARES[:, None] * [0.0, 1.0, 0.0]), OWN, 0.0)
     other = np.array([0.2, 0.3, 0.5])
@@ -108,7 +108,7 @@ def test_where_no_time_has_passed_forces_count_unfiltered():
 
 @pytest.mark.parametrize("rate", [250.0, 500.0, 1000.0, 2000.0])
 def test_the_law_does_not_depend_on_the_rate_of_the_ticks(rate):
-    """A load that grows by 8 N/s is foreseen to the same instant at any rate, and with gaps."""
+    """A load that grows by 8 N/s is predicted to the same instant at any rate, and with gaps."""
     random = np.random.default_rng(int(rate))
     for steps in (np.full(400, 1.0), random.integers(1, 4, 400)):
         need, time = fresh(), 0.0
@@ -122,14 +122,14 @@ def test_the_law_does_not_depend_on_the_rate_of_the_ticks(rate):
 
 
 def at_once(**reserve):
-    """Return a need whose reserve is there from the next sample on."""
+    """Return a need whose reserve is complete from the next sample on."""
     need = required(**{"fraction": 0.0, **reserve})
     step(need, parts(0.0 * WEIGHT, 6.0 * SHAPE), dt=1.0)
     return need
 
 
 def test_with_a_reserve_every_load_within_its_radius_finds_the_grasp_force_ready():
-    """Checked by brute force: loads on a sphere about the present one."""
+    """Verified by brute force: loads on a sphere around the present one."""
     need = at_once(floor=1.5)
     shape = SHARES[:, None] * [0.0, 1.0, 0.0]
     bare, ready = step(need, parts(WEIGHT, 6.0 * shape), OWN, 0.0)
@@ -166,7 +166,7 @@ def test_the_usable_friction_is_for_measured_loads_and_not_for_the_reserve():
 
 
 def test_of_a_grasp_that_is_not_whole_only_the_load_is_followed():
-    """The internal force of a contact that has parted would turn the shape against its load."""
+    """The internal force of a lost contact would turn the shape against its load."""
     need, whole = fresh(), fresh()
     for each in (need, whole):
         follow(each, WEIGHT, 20)
@@ -190,13 +190,13 @@ CARRIED = WEIGHT + np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 0.0], [0.1, 0.0, 0.0]])
 
 
 def reserves(need, ticks, load=CARRIED, first=0):
-    """Return what is needed and what is ready at each tick, shape (ticks, 2)."""
+    """Return needed and available force at each tick, shape (ticks, 2)."""
     now = parts(load, 6.0 * SHAPE)
     return np.array([step(need, now, dt=DT if first + i else 0.0) for i in range(ticks)])
 
 
 def test_the_reserve_of_a_new_grasp_rises_over_its_time():
-    """In even steps, from nothing to all of it, and the need is there immediately."""
+    """In equal steps, from zero to all of it, while the need itself applies immediately."""
     need = required(floor=3.0, fraction=0.0)
     needed, ready = reserves(need, 200).T
     full = reserves(at_once(floor=3.0), 200)[:, 1]
@@ -220,7 +220,7 @@ def test_a_load_that_comes_before_the_reserve_is_answered_as_fast_as_one_that_co
 
 
 def test_what_is_there_of_a_reserve_never_rises_slowly_again_while_the_grasp_lasts():
-    """After its time another load, and another radius, count immediately."""
+    """After the rise, another load or radius counts immediately."""
     need, at = required(), at_once(fraction=0.2)
     for each in (need, at):
         reserves(each, 101)

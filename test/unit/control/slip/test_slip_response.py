@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How the grasp force rises on slip and loss, and comes back, on signals made by hand."""
+"""The grasp force rises on slip and loss, and returns, on hand-made signals."""
 
 import math
 
@@ -13,7 +13,7 @@ ALL, TWO, NONE = (np.array(t) for t in ([True] * 3, [True, True, False], [False]
 
 
 def held(**values):
-    """Return a reflex that has held with the grasp force of the start for a while."""
+    """Return a reflex that has held with the initial grasp force for a while."""
     reflex = SlipResponse(SlipResponseConfig(**values), START)
     run(reflex, 200, needed=START)
     return reflex
@@ -58,13 +58,13 @@ def test_it_falls_by_its_minimum_rate_or_a_fraction_of_the_excess(needed, fall):
     assert step(reflex, needed) == pytest.approx(START - 0.0125 * fall, rel=1e-12)
     for _ in range(2):
         step(reflex, 5.999)
-    assert step(fresh(), 5.999) == 5.999  # no farther than it has to
+    assert step(fresh(), 5.999) == 5.999  # no farther than necessary
 
 
 @pytest.mark.parametrize(("ticks", "settled"), [(4, START), (5, 10.0)])
 def test_after_a_twentieth_of_a_second_a_slip_is_met_from_the_present_grasp_force(ticks, settled):
     reflex = fresh(first_rise=1.5)
-    for _ in range(ticks):  # four of them are 50 ms, to the bit
+    for _ in range(ticks):  # four of them are exactly 50 ms
         assert step(reflex, 10.0) == 10.0
     assert step(reflex, slips=True) == max(10.0, 1.5 * settled)
 
@@ -87,7 +87,7 @@ def test_a_slide_grows_from_the_present_grasp_force_and_another_starts_again():
     assert step(reflex, 10.0) == 10.0
     grown = 10.0 * 2.0**1.25  # it doubles every 10 ms
     assert step(reflex, 6.0, slips=True, slides=True) == pytest.approx(grown)
-    assert step(reflex, 6.0, slips=True) == pytest.approx(grown)  # it asks for that until it ends
+    assert step(reflex, 6.0, slips=True) == pytest.approx(grown)  # it requests that until the end
     after = step(reflex, 6.0)
     assert after == pytest.approx(grown - 0.0125 * (grown - 6.0) / 0.5)
     again = step(reflex, 6.0, slips=True)
@@ -99,7 +99,7 @@ def test_a_contact_is_lost_until_all_are_back_or_none_is_left():
     step(reflex, START)
     for _ in range(3):
         assert step(reflex, 0.0, touching=TWO) == 1.5 * START
-    none = step(reflex, 20.0, touching=NONE)  # what is needed does not count, what was held does
+    none = step(reflex, 20.0, touching=NONE)  # the last force counts, not the needed one
     assert none == pytest.approx(9.0 - 0.0125 * 3.0 / 0.5)
     assert step(reflex, none, touching=TWO) == none
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""When the plant moves on, waits, repeats itself, holds and ends: over DDS, its clock set."""
+"""When the plant advances, waits, repeats, holds and ends: over DDS, with a test clock."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ COMMAND = JointCodec(Hand.load("paper").joint_names, ("effort",))
 
 
 class Rig:
-    """A plant, on a clock that the test sets, and two who may command it."""
+    """A plant on a test clock, and two command senders."""
 
     def __init__(self, here: Process, clock: SimpleNamespace, **parameters: Any) -> None:
         self.here, self.clock = here, clock
@@ -62,7 +62,7 @@ class Rig:
         return facts(self.node)
 
     def answer(self, *ticks: int, mode: str = "running") -> dict[str, str]:
-        """Send commands for ticks in lockstep and wait for the tick behind the last one."""
+        """Send commands for ticks in lockstep and wait for the tick after the last one."""
         self.send(*ticks)
         return self.until(mode, ticks[-1] + 1)
 
@@ -73,7 +73,7 @@ class Rig:
         return self.here.call(Trigger, "plant/reset")
 
     def says(self, level: bytes, text: str) -> None:
-        """Wait for a state of health."""
+        """Wait for a diagnostic state."""
 
         def said() -> bool:
             status = self.node.diagnostics.status()
@@ -87,7 +87,7 @@ class Rig:
         return int(facts(self.node)["tick_ns"]) // self.node.config.tick
 
     def returns(self) -> None:
-        """Command each present tick until the plant runs and has nothing to complain about."""
+        """Command each present tick until the plant runs without a complaint."""
 
         def runs() -> bool:
             self.clock.now += 0.02
@@ -103,12 +103,12 @@ class Rig:
         self.here.wait(lambda: int(facts(self.node)["held_ticks"]) > last + more, "held ticks")
 
     def ticks(self) -> list[int]:
-        """Return the ticks that have been received."""
+        """Return the received ticks."""
         found = self.here.messages(names.JOINT_STATES, 0)
         return [stamp_to_ns(m.header.stamp) // self.node.config.tick for m in found]
 
     def reported(self, key: str, value: object) -> None:
-        """Wait until diagnostics were published in which a fact had a value."""
+        """Wait until diagnostics report a value of a fact."""
 
         def found() -> bool:
             told = self.here.messages(names.DIAGNOSTICS, 0)
@@ -135,7 +135,7 @@ def test_in_lockstep_each_answer_is_a_tick_and_other_commands_change_nothing(
     rig.send(3, 1)  # too early
     rig.answer(0)
     rig.clock.now += 0.0005
-    rig.send(0, 0)  # known already
+    rig.send(0, 0)  # answered already
     now = rig.answer(1)
     assert (now["answered_ns"], now["time_s"], now["conflicting_commands"]) == (
         "2000000",
@@ -143,7 +143,7 @@ def test_in_lockstep_each_answer_is_a_tick_and_other_commands_change_nothing(
         "0",
     )
     assert (now["latency_p50_us"], now["latency_max_us"]) == ("500", "1500")
-    assert now["ticks"] == "3"  # with the first, which was published before its answer
+    assert now["ticks"] == "3"  # including the first, which was published before its answer
     assert rig.ticks()[-2:] == [1, 2]
     rig.send(2, 3)
     rig.until("running", 4)
@@ -156,7 +156,7 @@ def test_a_paused_plant_takes_no_commands_and_reports_the_answer_to_its_last_tic
     rig = make(autostart=False)
     rig.send(0)
     rig.until("paused", 0, answered_ns=0)
-    for _ in range(2):  # the second time it is on already
+    for _ in range(2):  # the second call has no effect
         answer = rig.switch(True)
         assert (answer.success, answer.message) == (True, "running")
     rig.answer(0, 1)
@@ -213,8 +213,8 @@ def test_a_long_silence_holds_the_joints_while_time_continues(make: Callable[...
     rig.says(ERROR, f"{reason}; the joints are held")
     rig.clock.now += 9.0
     rig.held_ticks(100)
-    assert facts(rig.node)["resent_ticks"] == resent  # ticks go on by themselves
-    rig.returns()  # the controller is back: time waits for it again
+    assert facts(rig.node)["resent_ticks"] == resent  # ticks continue without commands
+    rig.returns()  # the controller is back: the plant waits for it again
     rig.answer(rig.now)
 
 
@@ -295,7 +295,7 @@ def test_in_real_time_the_first_command_starts_the_clock(make: Callable[..., Rig
 def test_in_real_time_a_command_may_be_as_old_as_the_guard_allows(
     make: Callable[..., Rig],
 ) -> None:
-    """An older one is not taken up, and the hold that this begins is published once."""
+    """An older command is ignored, and the resulting hold is published once."""
     rig = make(**{"pacing": "realtime", "guard.age_limit": 3, "rate": 100.0})
     rig.send(0)
     rig.until("holding")

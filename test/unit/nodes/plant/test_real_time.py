@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""As many ticks come due as time has passed; each is judged once: in time, late or skipped."""
+"""Ticks come due as time passes; each is counted once: in time, late or skipped."""
 
 import pytest
 from hypothesis import given
@@ -11,7 +11,7 @@ TICK = 1_000_000
 
 
 class Hands:
-    """The hands of a clock that a test moves."""
+    """A clock that a test sets."""
 
     def __init__(self):
         self.now = 0
@@ -41,7 +41,7 @@ def test_time_that_cannot_be_made_up_for_is_given_up_once_and_for_all():
         hands.now += TICK
         assert made.due() == 1
     assert made.lost_ns == 1000 * TICK
-    assert made.skipped == 0  # nobody waits for what is given up
+    assert made.skipped == 0  # skipped ticks do not include those given up
     hands.now += 2001 * TICK
     assert made.due() == 1
     assert made.lost_ns == 3000 * TICK

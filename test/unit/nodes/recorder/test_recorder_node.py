@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The recorder as a node: what it takes, what it reports, how it ends; alone and next to a hand."""
+"""The recorder node: what it records, what it reports, how it ends; alone and next to a hand."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ SCENARIO = "name: 'odd: \"1\"'\nseed: 7\ntargets:\n- {time: 0.0}\n"
 
 
 class Stage:
-    """Recorders in a context, and a node that publishes in another."""
+    """Recorders in one context, and a publishing node in another."""
 
     def __init__(self, here: Context, there: Context, bag: Path) -> None:
         self.context, self.bag = here, bag
@@ -120,7 +120,7 @@ def test_what_is_chosen_is_recorded_and_counted(stage: Stage) -> None:
     report = stage.report()
     assert [report[key] for key in ("bytes", "topics", "lost_messages")] == ["24", "1", "0"]
     assert report["output"] == str(stage.bag) and report["refused_topics"] == "0"
-    stage.publish("/left/a", 5)  # on its way when it ends
+    stage.publish("/left/a", 5)  # in transit at the end
     stage.recorder.close()
     assert stage.recorded() == {"/left/a": [3, 4, 5]}
     found = summarize(stage.bag).custom_data
@@ -129,7 +129,7 @@ def test_what_is_chosen_is_recorded_and_counted(stage: Stage) -> None:
 
 
 def test_what_publishers_offer_and_the_hash_of_their_type_are_in_the_bag(stage: Stage) -> None:
-    """A latched message from before the recorder, a best-effort topic, two publishers."""
+    """With a latched message from before the recorder, a best-effort topic, and two publishers."""
     offers = {
         "latched": [QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)],
         "mixed": [EAGER, QoSProfile(depth=10)],
@@ -197,7 +197,7 @@ def test_what_the_writer_refuses_is_lost_too(stage: Stage, monkeypatch: pytest.M
 
 
 def test_the_bag_is_closed_also_after_the_context_has_ended(stage: Stage) -> None:
-    """With what had arrived, also of a topic that had no publisher at the last look."""
+    """With all received messages, even of a topic that had no publisher at the last look."""
     stage.hand.create_subscription(Int64, "late", print, 1)
     stage.record()
     stage.meet("/left/a")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A topic is subscribed as its publishers offer it, and what is missing is counted."""
+"""A topic is subscribed with its publishers' QoS, and missing messages are counted."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def test_all_publishers_satisfy_what_is_asked_for(
 
 
 class Stage:
-    """A recorded topic, publishers in a participant of their own, and what was taken."""
+    """A recorded topic, publishers in their own participant, and the received messages."""
 
     def __init__(self, listener: Node, talker: Node) -> None:
         self.talker, self.listener = talker, listener
@@ -61,7 +61,7 @@ class Stage:
         self.times: list[tuple[int, int]] = []
 
     def publisher(self, profile: QoSProfile, *numbers: int, others: int = 0) -> Publisher:
-        """Create a publisher that sends numbers, the listener knowing of so many others."""
+        """Create a publisher that sends numbers; the listener has discovered so many others."""
         publisher = self.talker.create_publisher(Int64, NAME, profile)
         wait_until(lambda: self.listener.count_publishers(NAME) == 1 + others)
         self.send(publisher, *numbers)
@@ -80,7 +80,7 @@ class Stage:
         self.topic.drain(self._keep)
 
     def match(self, publisher: Publisher) -> None:
-        """Adapt until publisher and subscription know of each other."""
+        """Adapt until publisher and subscription have matched."""
 
         def matched() -> bool:
             self.step()
@@ -89,7 +89,7 @@ class Stage:
         wait_until(matched)
 
     def take(self, count: int) -> list[int]:
-        """Return what was taken once there are so many."""
+        """Return the received messages once there are so many."""
 
         def come() -> bool:
             self.step()
@@ -129,7 +129,7 @@ def test_messages_are_taken_with_their_times(stage: Stage) -> None:
 
 
 def test_what_a_node_sends_before_it_is_found_is_a_loss(stage: Stage) -> None:
-    publisher = stage.publisher(EAGER, 1, 2)  # the subscription asks for more until it adapts
+    publisher = stage.publisher(EAGER, 1, 2)  # the subscription requests more until it adapts
     stage.match(publisher)
     stage.send(publisher, 3)
     assert 3 in stage.take(3)
@@ -157,7 +157,7 @@ def test_of_several_publishers_nothing_is_counted_and_all_of_one_that_appears_al
         ({b"a", b"b"}, 54, 2),
         ({b"b"}, 80, 2),
         ({b"b"}, 82, 3),
-        ({b"c"}, 5, 7),  # it has sent four before it found the subscription
+        ({b"c"}, 5, 7),  # it sent four before it matched the subscription
         (set(), 9, 7),  # the context has ended
     ):
         present = now
@@ -179,7 +179,7 @@ def test_a_weaker_publisher_next_to_another_is_taken_too(stage: Stage) -> None:
 def test_a_publisher_replaced_by_a_best_effort_one_between_two_looks_is_taken(
     stage: Stage,
 ) -> None:
-    """The number of publishers is the same as before; what was missed is counted."""
+    """The number of publishers is the same as before; missed messages are counted."""
     strict = stage.publisher(STRICT)
     stage.match(strict)
     stage.send(strict, 1)
@@ -195,7 +195,7 @@ def test_a_publisher_replaced_by_a_best_effort_one_between_two_looks_is_taken(
 def test_a_latched_topic_is_subscribed_again_before_its_first_message_only(
     stage: Stage, has_come: bool
 ) -> None:
-    """Later its history would come twice."""
+    """Later, its history would be received twice."""
     publisher = stage.publisher(LATCHED)
     wait_until(lambda: publisher.get_subscription_count() == 1)
     stage.send(publisher, 9)
@@ -213,7 +213,7 @@ def test_a_latched_topic_is_subscribed_again_before_its_first_message_only(
 def test_what_a_restarted_publisher_sends_before_it_is_matched_counts_as_lost(
     stage: Stage, early: int
 ) -> None:
-    """Received and lost add up to all that the second publisher sent."""
+    """The received and lost messages add up to all that the second publisher sent."""
     total = 0
     for sent in (20, early + 20):
         total += sent
@@ -239,7 +239,7 @@ def test_after_the_context_has_ended_what_has_arrived_is_still_taken(stage: Stag
 def test_a_type_name_imports_installed_interfaces_only(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A bag or a stranger in the network may name a module that lies in the current folder."""
+    """A bag or a network peer may name a module in the current folder."""
     module = tmp_path / "evilpkg" / "msg"
     module.mkdir(parents=True)
     (module.parent / "__init__.py").write_text("")
@@ -257,7 +257,7 @@ def test_a_type_name_imports_installed_interfaces_only(
     + ["std_msgs/msg/__name__", "std_srvs/srv/Trigger", "std_msgs/msg/Float64\n", "x" * 10_000],
 )
 def test_what_is_no_type_name_is_refused(name: str) -> None:
-    """No import is tried."""
+    """No import is attempted."""
     with pytest.raises(BagError, match="is not a type name, expected package/msg/Type") as caught:
         message_class(name)
     assert len(str(caught.value)) < 250

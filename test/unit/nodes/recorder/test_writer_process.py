@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A bag that another process writes is the bag that this one would write."""
+"""A bag written by another process equals the one that this process would write."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def test_a_folder_that_exists_is_refused(tmp_path: Path) -> None:
 def test_what_finds_no_room_is_counted_as_lost(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A process that does not read delays nothing; the rest is in the bag, in order."""
+    """A process that does not read causes no delay; all other messages are in the bag, in order."""
     assert writer_process._MAX_WAITING == 64 << 20
     monkeypatch.setattr(writer_process, "_MAX_WAITING", 1 << 20)
     writer = started(tmp_path / "bag")
@@ -120,7 +120,7 @@ os.kill(os.getpid(), signal.SIGKILL)
 
 
 def test_what_a_killed_sender_has_sent_can_be_recovered(tmp_path: Path) -> None:
-    """The process ends with the pipe, and not with a signal."""
+    """The process ends when the pipe is closed, not by a signal."""
     folder = tmp_path / "bag"
     sender = subprocess.run([sys.executable, "-c", SENDER, folder], stdout=subprocess.PIPE)
     assert sender.returncode == -signal.SIGKILL
@@ -133,7 +133,7 @@ def test_what_a_killed_sender_has_sent_can_be_recovered(tmp_path: Path) -> None:
 def test_it_gives_up_the_priority_of_the_hand_before_it_imports_anything(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A module that stands in for a library writes down how it is imported."""
+    """A module that replaces a library records how it is imported."""
     (tmp_path / "mcap").mkdir()
     (tmp_path / "mcap" / "__init__.py").write_text(
         "import os\n"
