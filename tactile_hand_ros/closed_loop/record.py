@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What happened in a run, tick by tick, as arrays: the same in-process as from a bag."""
+"""A run as arrays, tick by tick; identical in-process and from a bag."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ Array = NDArray[np.float64]
 
 
 def _ticks(shape: str, meaning: str) -> Array:
-    """Declare an array with one row per tick; shape is that of a row."""
+    """Declare an array with one row per tick, given the shape of a row."""
     array: Array = field(metadata={"shape": shape, "meaning": meaning})
     return array
 
@@ -21,8 +21,8 @@ def _ticks(shape: str, meaning: str) -> Array:
 class Record:
     """Time-aligned arrays of a run with n ticks, k fingers and m joints; NaN where unknown.
 
-    Positions are in the palm frame, quaternions are (x, y, z, w), forces act on the object and are
-    in the contact frames C_i, where y is the normal.
+    Positions are in the palm frame, quaternions are (x, y, z, w). Forces act on the object and are
+    in the contact frames C_i, with y along the normal.
     """
 
     finger_names: list[str]
@@ -55,7 +55,7 @@ class Record:
 
     @classmethod
     def empty(cls, ticks: int, finger_names: list[str], joint_names: list[str]) -> Record:
-        """Return a record full of NaN to be filled in."""
+        """Return a record filled with NaN."""
         sizes = {"k": len(finger_names), "m": len(joint_names), "3": 3, "4": 4}
         arrays = {
             f.name: np.full((ticks, *(sizes[s] for s in f.metadata["shape"])), np.nan)
