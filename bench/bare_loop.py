@@ -17,13 +17,7 @@ _PATIENCE = 60.0  # s, in addition to the measured time
 
 
 def missed_by_bare_loop(rate: float, seconds: float, priority: int = 0) -> float:
-    """Return the fraction of ticks at which a process wakes so late that the next one is due.
-
-    Args:
-        rate: Ticks per second [Hz].
-        seconds: Duration [s].
-        priority: SCHED_FIFO priority; 0 for normal scheduling.
-    """
+    """Return the fraction of ticks that a bare loop misses; `rate` in Hz, priority 0 is normal."""
     from bench.processes import CapturedProcess  # not importable in the process below
 
     words = [str(rate), str(seconds), str(priority)]

@@ -102,7 +102,7 @@ def measure_short_run(work: Workload) -> list[Measurement]:
 
 
 def measure_real_time(work: Workload) -> list[Measurement]:
-    """Measure missed deadlines of recorded, composed nodes and of a bare loop, at each rate.
+    """Measure missed deadlines of recorded composed nodes and of a bare loop, at each rate.
 
     Repeat under SCHED_FIFO if the machine permits it.
     """

@@ -44,13 +44,7 @@ _PATIENCE = 60.0  # s
 
 
 def rate(processes: Sequence[str], ticks: int, *, recorded: bool) -> float:
-    """Return the ticks per second over a number of ticks.
-
-    Args:
-        processes: Roles of each process, joined by commas.
-        ticks: Number of measured ticks.
-        recorded: Whether the recorder receives all messages too.
-    """
+    """Return the ticks per second of processes, each given by its roles joined by commas."""
     with isolated_domain(), tempfile.TemporaryDirectory() as folder, ExitStack() as stack:
         if recorded:
             flags = ("-p", f"output:={folder}/bag", "-p", f"topics:=['/{_NAMESPACE}/.*']")

@@ -45,14 +45,7 @@ _NEARLY = 5e-4  # rad; with r_z exactly horizontal the frame of the contacts is 
 
 
 def turned(name: str, rotation: Array, folder: Path, changes: dict[str, Any]) -> Scenario:
-    """Return a scenario with all directions rotated in the palm frame.
-
-    Args:
-        name: Scenario.
-        rotation: The rotation, shape (3, 3).
-        folder: Folder for the rotated hand.
-        changes: Further changes by dotted key.
-    """
+    """Return a scenario with all directions rotated in the palm frame; write its hand."""
     values = dict(changes)
     base = load_scenario(name, values)
 
@@ -114,13 +107,8 @@ def resized(
 ) -> Scenario:
     """Return a scenario in another size, with a cube and matching gains.
 
-    Args:
-        name: Scenario.
-        scale: Size relative to the scenario's hand.
-        link: Mass of each link [kg].
-        mass: Mass of the object [kg].
-        folder: Folder for the hand.
-        changes: Further changes by dotted key.
+    `scale` is relative to the scenario's hand; `link` and `mass` are the masses of each link and of
+    the object [kg].
     """
     base = load_scenario(name)
     thing, law = base.plant.object, "manipulation_controller.law."
@@ -150,13 +138,8 @@ def _changed_hand(
 ) -> Path:
     """Write a modified copy of a scenario's hand, and return its file.
 
-    Args:
-        scenario: The scenario.
-        folder: Folder for the files.
-        rotation: Rotation about the palm's origin, shape (3, 3).
-        scale: Factor for all lengths.
-        link: Mass of each link [kg]; unchanged by default.
-        order: Order of the fingers; unchanged by default.
+    Defaults leave the hand unchanged. It can be rotated about the palm's origin, scaled in all
+    lengths, given another mass of each link [kg], or another order of fingers.
     """
     hand = load_hand_config(scenario.hand)
     text = describe(hand.folder / hand.urdf, hand.layout(scenario.layout), hand.any_inertia)

@@ -66,14 +66,9 @@ def why_not_begun(hand: RunningHand) -> str:
 
 
 def judge(hand: RunningHand, run: Injection, moment: float, begin: float, end: float) -> Outcome:
-    """Return the outcome of a run.
+    """Return the outcome of a run with a fault at a simulated time `moment` [s].
 
-    Args:
-        hand: The hand with all events of the run.
-        run: The injection.
-        moment: Simulated time of the fault [s].
-        begin: Monotonic time of the start of the fault [s].
-        end: Monotonic time of its end [s].
+    `begin` and `end` are the monotonic times of the start and the end of the fault [s].
     """
     after = hand.since(begin)
     recovered = recovery(hand, after, end)
@@ -94,10 +89,7 @@ def judge(hand: RunningHand, run: Injection, moment: float, begin: float, end: f
 def distance(run: Injection, seen: Array, moment: float) -> float:
     """Return the distance of an object from its permitted positions [m]; NaN if a user moves it.
 
-    Args:
-        run: The injection.
-        seen: Positions of the object, shape (n, 3), m.
-        moment: Simulated time of the fault [s].
+    Its observed positions have the shape (n, 3), m; `moment` is the simulated time of the fault.
     """
     if run.component == space.USER and run.fault in ("stuck", "delayed", "intermittent"):
         return math.nan  # motion toward a reachable command is no displacement

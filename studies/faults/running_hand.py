@@ -205,7 +205,7 @@ class RunningHand:
         """Call a service until it answers.
 
         A killed server is still discovered for 20 s. Until the client has matched its successor,
-        requests go to the dead server only.
+        requests go to the killed server only.
         """
         if service not in self._clients:
             self._clients[service] = self.node.create_client(kind, service)

@@ -120,11 +120,9 @@ class Expected(NamedTuple):
     holds: dict[float, Array]
 
     def distance(self, seen: Array, moment: float) -> float:
-        """Return the largest distance of the object from its permitted positions [m].
+        """Return the largest distance of observed positions, (n, 3), from the permitted ones [m].
 
-        Args:
-            seen: Positions of the object, shape (n, 3), m.
-            moment: Simulated time of the start of the fault [s].
+        `moment` is the simulated time of the fault [s].
         """
         if not len(seen) or not np.isfinite(seen).all():
             return math.inf

@@ -212,7 +212,7 @@ def _check_present(path: Path) -> None:
     if path.is_dir() and not (path / FILE_NAME).exists():
         raise BagError(
             f"The folder {path} has no {FILE_NAME}: it is not a bag, or its recording was cut off "
-            f"or still runs; run `tactile-hand recover {path}`."
+            f"or is still running; run `tactile-hand recover {path}`."
         )
 
 

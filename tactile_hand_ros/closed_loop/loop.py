@@ -65,7 +65,7 @@ class Chain:
         """Return the answer to a tick.
 
         Args:
-            stamp: The tick, ns.
+            stamp: The tick [ns].
             theta: Joint angles, shape (m,), rad.
             rates: Joint rates, shape (m,), rad/s.
             applied: Torques since the previous tick, shape (m,), N m; None if unknown.

@@ -31,7 +31,7 @@ class Record:
     palm: Array = _ticks("4", "orientation of the palm in the world by an IMU")
     theta: Array = _ticks("m", "joint angles, rad")
     rates: Array = _ticks("m", "joint rates, rad/s")
-    torque: Array = _ticks("m", "torque that acted until the tick, N m")
+    torque: Array = _ticks("m", "torque applied until the tick, N m")
     command: Array = _ticks("m", "torque that answered the tick, N m")
     contact_positions: Array = _ticks("k3", "contact points by touch, m")
     contact_quaternions: Array = _ticks("k4", "contact frames by touch")
@@ -49,7 +49,7 @@ class Record:
     true_forces: Array = _ticks("k3", "true contact forces, N")
     true_sliding: Array = _ticks("k", "true sliding speed of each contact, m/s")
     true_slid: Array = _ticks("k", "true distance each contact has slid, m")
-    friction: Array = _ticks("k", "friction as the regulator has learned it")
+    friction: Array = _ticks("k", "friction estimate of the regulator")
     slip_evidence: Array = _ticks("k", "evidence for slip, 1 at the alarm")
     grip: Array = _ticks("k", "state of each contact: 0 unknown, 1 stick, 2 slip")
 

@@ -49,14 +49,7 @@ class AppliedChanges:
         requests: bool = False,
         commands: bool = False,
     ) -> None:
-        """Create the publishers.
-
-        Args:
-            node: The node.
-            name: Its name in topics, defined in `names`.
-            requests: Whether services or latched topics change the node.
-            commands: Whether users command it.
-        """
+        """Create the publishers; the node's name in topics is defined in `names`."""
         self._name, self._full_name = name, node.get_fully_qualified_name()
         self._waiting: list[tuple[Publisher, MessageAt]] = []
         self._parameters = node.create_publisher(

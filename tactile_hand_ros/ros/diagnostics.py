@@ -43,7 +43,7 @@ class _Notes:
 class Diagnostics:
     """Counters and values that `status` turns into one DiagnosticStatus.
 
-    Every method except `status` takes well under a microsecond, so call them every tick.
+    All methods except `status` are cheap enough for every tick: well under a microsecond.
     """
 
     def __init__(self, name: str, clock: Callable[[], float] = time.monotonic) -> None:

@@ -191,7 +191,7 @@ class WaitSetExecutor(SingleThreadedExecutor):
             if guard.callback is not None and not self._stale:
                 guard.callback()
         for timer in waiting.ready("timer"):
-            # A cancelled timer is reported as ready once more.
+            # A cancelled timer is reported as ready one more time.
             if not self._stale and timer.handle.is_timer_ready():
                 timer.handle.call_timer()
                 timer.callback()
@@ -250,7 +250,7 @@ class WaitSetExecutor(SingleThreadedExecutor):
         try:
             task, *_ = self.wait_for_ready_callbacks(timeout_sec, nodes)
             task()
-            task.result()  # raises what the callback raised
+            task.result()  # re-raises the callback's exception
         except (TimeoutException, ShutdownException):
             return False
         except ExternalShutdownException:

@@ -131,7 +131,7 @@ def _checked_quaternion(quaternion: Sequence[float], what: str) -> None:
     x, y, z, w = quaternion
     if not abs(x * x + y * y + z * z + w * w - 1.0) < _UNIT_TOLERANCE:
         raise MessageError(
-            f"{what} has the quaternion ({x}, {y}, {z}, {w}), expected one of length 1."
+            f"{what} has the quaternion ({x}, {y}, {z}, {w}), expected a unit quaternion."
         )
 
 

@@ -112,7 +112,7 @@ class TactileNode(Node, Generic[C]):
     Exceptions in callbacks of subscriptions, services and timers are counted and reported.
 
     Publishes `/diagnostics` (diagnostic_msgs/DiagnosticArray) once a second and whenever the number
-    of matched peers changes: two ends of a topic may exist before they are matched.
+    of matched peers changes. The ends of a topic may exist before they are matched.
 
     Attributes:
         diagnostics: Counters and values to report.
@@ -168,12 +168,7 @@ class TactileNode(Node, Generic[C]):
         """Go to the safe state after an unexpected error; by default, skip the tick."""
 
     def on_rejected(self, source: str, reason: str) -> None:
-        """Handle a rejected message or request; by default it is only counted.
-
-        Args:
-            source: Topic or service, as named when the node was created.
-            reason: Reason in one line.
-        """
+        """Handle a rejected message or request of a topic or service; by default, do nothing."""
 
     def on_repeat(self) -> None:
         """Publish the last answer to a tick again."""
@@ -205,8 +200,7 @@ class TactileNode(Node, Generic[C]):
         Args:
             source: Topic, service or timer to name in error reports.
             callback: A plain function.
-            refuse: Makes the return value after a failure, from the callback's arguments and the
-                reason.
+            refuse: Returns the result after a failure, given the callback's arguments and a reason.
         """
 
         @functools.wraps(callback)  # rclpy looks at the signature

@@ -56,7 +56,7 @@ def executable_path(name: str) -> Path:
     path = executable_directory() / name
     if not name or Path(name).name != name or not _runs(path):
         known = ", ".join(executable_names())
-        raise ExecutableError(f"There is no executable '{name}': choose one of {known}.")
+        raise ExecutableError(f"There is no executable '{name}'; choose one of {known}.")
     return path
 
 

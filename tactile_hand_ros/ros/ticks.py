@@ -142,8 +142,8 @@ def chosen(stamps: Sequence[int], previous: int | None) -> list[int]:
     If each node skipped different ticks, a consumer that needs the answers of two nodes to the same
     tick would get neither. Each tick therefore has a rank: n if it is the first in a window of
     2^n ms but not of 2^(n+1) ms. It is skipped only if a tick of higher rank waits behind it. That
-    tick comes at least 2^n ms minus one period later. A node that lags less never skips the first,
-    so all nodes regularly answer the same ticks.
+    tick comes at least 2^n ms minus one period later, so a node that lags less does not skip it.
+    All nodes therefore regularly answer the same ticks, regardless of their lag.
     """
     ranks = [
         rank(stamp, before) for stamp, before in zip(stamps, [previous, *stamps], strict=False)
@@ -158,7 +158,7 @@ def chosen(stamps: Sequence[int], previous: int | None) -> list[int]:
 
 
 class TickInputs:
-    """Subscribes to streams, joins them by stamp, skips late ticks and watches for silence.
+    """Subscribes to streams, joins them by timestamp, skips late ticks and detects silence.
 
     The first stream is the trigger. If it repeats an answered tick, the last answer is published
     again. A trigger that leaps ahead by more than 0.1 s and twice the last step is ignored until a

@@ -198,13 +198,7 @@ class PlantDriver:
         self.begin()
 
     def command(self, stamp: int, torque: Array, info: Mapping[str, Any] = NO_INFO) -> None:
-        """Apply the torque that answers a tick; ignore late and unexpected commands.
-
-        Args:
-            stamp: The tick [ns].
-            torque: Joint torques, shape (m,), N m.
-            info: The middleware's info on the message, if there was one.
-        """
+        """Apply the torque, shape (m,), N m, that answers a tick [ns]; ignore late commands."""
         run = self._run
         self._note_answer(stamp)
         contested = self._senders.note(info)
@@ -262,7 +256,7 @@ class PlantDriver:
                 self._let_time_pass(True)
 
     def _resume(self) -> None:
-        """Let commands act again."""
+        """Accept commands again."""
         self._run.release()
         if self._is_lockstep:
             self._let_time_pass(False)
@@ -298,7 +292,7 @@ class PlantDriver:
             self._hand.hold(held)
 
     def _publish(self) -> None:
-        """Publish the current tick, and let a hand in this process answer it."""
+        """Publish the current tick, and compute the answer of a hand in this process."""
         state, stamp = self._run.state, self._run.stamp
         true, sliding = true_reading(state), sliding_speeds(state)
         self._topics.publish(stamp, state, true, sliding)

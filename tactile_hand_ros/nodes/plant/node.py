@@ -105,7 +105,7 @@ class PlantNode(TactileNode[PlantConfig]):
             "contact laws",
             plant.relaxed_steps + plant.unsolved_steps > 0,
             f"contact laws were relaxed in {plant.relaxed_steps} steps (jammed penetrations were "
-            f"kept) and not met in {plant.unsolved_steps} since the start; lower friction or "
+            f"kept) and violated in {plant.unsolved_steps} since the start; lower friction or "
             "plant.time_step, or start without penetration",
             WARN,
         )

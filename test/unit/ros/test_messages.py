@@ -153,7 +153,7 @@ def test_a_quaternion_of_nearly_unit_length_is_a_rotation_and_others_are_refused
     contacts = ContactsCodec(3).encode(positions, turns, 1)
     if not taken:
         for codec, data in ((PoseCodec(), pose), (ContactsCodec(3), contacts)):
-            with pytest.raises(MessageError, match="expected one of length 1"):
+            with pytest.raises(MessageError, match="expected a unit quaternion"):
                 codec.decode(data)
         return
     # What follows must not be stretched by it.
@@ -223,7 +223,7 @@ def pose_with(change):
         (pose_with(lambda m: setattr(m.pose.position, "x", -BEYOND)), "position is"),
         (pose_with(lambda m: setattr(m.pose.position, "z", np.nan)), "position is"),
         (pose_with(lambda m: setattr(m.header, "frame_id", "")), "frame_id is '', expected 'palm'"),
-        (pose_with(lambda m: setattr(m.pose.orientation, "w", 0.0)), "expected one of length 1"),
+        (pose_with(lambda m: setattr(m.pose.orientation, "w", 0.0)), "expected a unit quaternion"),
     ],
 )
 def test_bad_contacts_and_poses_are_refused(case, words):
