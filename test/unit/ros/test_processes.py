@@ -35,7 +35,7 @@ def test_a_package_that_is_not_there_is_named(
 
 
 def test_an_unknown_executable_is_named_with_the_known_ones() -> None:
-    with pytest.raises(ExecutableError, match="'no_such_node': choose one of composed, "):
+    with pytest.raises(ExecutableError, match="'no_such_node'; choose one of composed, "):
         executable_path("no_such_node")
 
 
