@@ -51,7 +51,7 @@ class DesiredPoses:
         node.subscribe(PoseStamped, names.DESIRED_POSE, self.take, profile=qos.user_qos(), raw=True)
 
     def take(self, data: bytes) -> None:
-        """Take a serialized pose."""
+        """Decode a pose and send it to the controller."""
         stamp, pose = self._codec.decode(data)
         target = Target.of(*pose)
         last = self._last_tick()

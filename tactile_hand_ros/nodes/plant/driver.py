@@ -269,7 +269,7 @@ class PlantDriver:
             self._pace.stop()
 
     def _advance(self, ticks: int) -> None:
-        """Move ahead and publish the newest tick."""
+        """Advance and publish the newest tick."""
         for done in range(ticks):
             if self._run.is_last:
                 if done:

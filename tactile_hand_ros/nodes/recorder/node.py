@@ -32,7 +32,7 @@ _ATTENTION = 0.002  # s between two polls during that wait
 
 
 class RecorderNode(TactileNode[RecorderConfig]):
-    """Records the chosen topics as a rosbag2 folder until it is stopped.
+    """Records the selected topics to a rosbag2 folder until it is stopped.
 
     Subscriptions: every topic that matches `topics` and not `exclude`, raw, with the quality of
     service that its publishers offer. Hidden topics are excluded. Topics are subscribed as soon as
