@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Measurements of speed; they import the package, and nothing imports them."""
+"""Speed benchmarks; the package does not import them."""

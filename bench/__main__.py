@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`make bench`: one table of what is measured, beside the targets."""
+"""`make bench`: one table of measurements and targets."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 if __name__ == "__main__":
-    # Behind the installed package, which is what is measured; also for the processes it starts.
+    # Append, so that the installed package is measured, in child processes too.
     sys.path[0:1] = []
     sys.path.append(str(Path(__file__).resolve().parents[1]))
     os.environ["PYTHONPATH"] = os.pathsep.join(sys.path)
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 
 class Section(str, enum.Enum):
-    """What can be measured."""
+    """Sections of the benchmark."""
 
     BLOCKS = "blocks"
     LOCKSTEP = "lockstep"
@@ -41,7 +41,7 @@ def bench(
     only: Annotated[
         list[Section] | None, typer.Option(help="May be repeated; by default all.")
     ] = None,
-    repeats: Annotated[int, typer.Option(help="How often whole runs are repeated.", min=1)] = 5,
+    repeats: Annotated[int, typer.Option(help="Number of repetitions of whole runs.", min=1)] = 5,
     ticks: Annotated[int | None, typer.Option(help="Shorter runs in lockstep.", min=2)] = None,
     rate: Annotated[
         list[float] | None,
@@ -54,13 +54,13 @@ def bench(
     ] = 20.0,
     out: Annotated[Path, typer.Option(help="File for the results.")] = Path("runs/bench.json"),
 ) -> None:
-    """Measure speed, start and missed deadlines, and save the results."""
+    """Measure speed, startup and missed deadlines, and save the results."""
     from bench.result import COLUMNS, to_json
     from bench.workload import Workload
 
     chosen = only or list(Section)
     if out.is_dir():
-        raise ConfigurationError(f"--out: {out} is a folder, expected the name of a file.")
+        raise ConfigurationError(f"--out: {out} is a folder, expected a file name.")
     check_writable(out.parent)
     results: list[Measurement] = []
     with steps("measuring", len(chosen)) as advance:

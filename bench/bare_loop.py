@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What real time costs at the minimum: a process that only wakes at each tick.
+"""Baseline for real time: a process that only wakes at each tick.
 
-What it misses, no loop with work in it can keep on the same computer. As a script with
-``RATE SECONDS PRIORITY`` it is that process.
+No loop with work in it can meet the deadlines that this one misses on the same computer. As a
+script with ``RATE SECONDS PRIORITY`` it is that process.
 """
 
 from __future__ import annotations
@@ -13,18 +13,12 @@ import time
 
 from tactile_hand_ros.ros.scheduling import Scheduling
 
-_PATIENCE = 60.0  # s, on top of the time that is measured
+_PATIENCE = 60.0  # s, in addition to the measured time
 
 
 def missed_by_bare_loop(rate: float, seconds: float, priority: int = 0) -> float:
-    """Return the fraction of ticks at which a process wakes only when the next one is due.
-
-    Args:
-        rate: Ticks per second [Hz].
-        seconds: How long [s].
-        priority: Under SCHED_FIFO; 0 for ordinary scheduling.
-    """
-    from bench.processes import CapturedProcess  # which the process below does not find
+    """Return the fraction of ticks that a bare loop misses; `rate` in Hz, priority 0 is normal."""
+    from bench.processes import CapturedProcess  # not importable in the process below
 
     words = [str(rate), str(seconds), str(priority)]
     with CapturedProcess([sys.executable, __file__, *words]) as process:
@@ -34,7 +28,7 @@ def missed_by_bare_loop(rate: float, seconds: float, priority: int = 0) -> float
 
 
 def wake_at_each_tick(rate: float, seconds: float) -> tuple[int, int]:
-    """Return how many ticks came due and how many of them came too late."""
+    """Return the number of ticks and the number of missed ticks."""
     period, alarm = round(1e9 / rate), threading.Event()
     due = time.monotonic_ns() + period
     ticks, missed, end = 0, 0, due + round(1e9 * seconds)
@@ -46,7 +40,7 @@ def wake_at_each_tick(rate: float, seconds: float) -> tuple[int, int]:
 
 
 def main() -> None:
-    """Run the loop and print what came of it."""
+    """Run the loop and print its result."""
     rate, seconds, priority = (float(word) for word in sys.argv[1:4])
     Scheduling(priority=int(priority)).raise_priority()
     print(*wake_at_each_tick(rate, seconds))

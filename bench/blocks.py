@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How long the blocks of the loop take in-process, and how many ticks a second the loop makes."""
+"""Duration of the blocks and throughput of the loop, in-process."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from tactile_hand_ros.closed_loop.loop import ClosedLoop
 
 
 def _times(calls: Iterator[Callable[[], object]]) -> list[float]:
-    """Return how long each call takes, us."""
+    """Return the duration of each call [us]."""
     found = []
     for call in calls:
         began = time.perf_counter()
@@ -22,7 +22,7 @@ def _times(calls: Iterator[Callable[[], object]]) -> list[float]:
 
 
 def measure_blocks(work: Workload) -> list[Measurement]:
-    """Measure (13), the controller and the plant on the inputs of a run, as the nodes call them."""
+    """Measure (13), the controller and the plant with the inputs of a run, called as in nodes."""
     loop, record = ClosedLoop(work.scenario), work.record
     solves = (lambda c=contacts: loop.optimizer.solve(c) for contacts in work.grasps)
     answers = (
@@ -45,7 +45,7 @@ def measure_blocks(work: Workload) -> list[Measurement]:
 
 
 def in_process_rate(work: Workload, ticks: int) -> float:
-    """Return how many ticks a second the loop makes in-process, one plant step each."""
+    """Return the ticks per second of the in-process loop with one plant step per tick."""
     loop = ClosedLoop(work.single)
     began = time.perf_counter()
     loop.run(ticks)
@@ -53,6 +53,6 @@ def in_process_rate(work: Workload, ticks: int) -> float:
 
 
 def measure_loop(work: Workload) -> list[Measurement]:
-    """Run the whole loop in-process; every other rate is to be read beside this one."""
+    """Measure the whole loop in-process, as the reference for all other rates."""
     rates = [in_process_rate(work, len(work.record)) for _ in range(work.repeats)]
     return [Measurement("in-process, one plant step a tick", "ticks/s", rates)]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How fast the ROS graph is, how long it takes to start, and what it misses in real time."""
+"""Throughput, startup time and missed deadlines of the ROS graph."""
 
 from __future__ import annotations
 
@@ -22,28 +22,21 @@ from tactile_hand_ros.ros.processes import executable_path
 from tactile_hand_ros.scenario.scenario import NODES
 
 PRIORITY = 50
-_TIMEOUT = 600.0  # s, on top of the simulated time
+_TIMEOUT = 600.0  # s, in addition to the simulated time
 _TRY = f"import os; os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param({PRIORITY}))"
-_FINEST = 1000.0  # Hz: beyond this rate a tick is shorter than the ordinary step of the plant
-_BARE_FACTOR, _FEW = 2.0, 0.1  # of what a bare loop misses, and %: what may be missed
+_FINEST = 1000.0  # Hz; above this rate a tick is shorter than the default plant step
+_BARE_FACTOR, _FEW = 2.0, 0.1  # target for missed ticks: multiple of a bare loop's, at least [%]
 
 
 class BenchError(TactileHandError):
-    """A run that was to be measured did not come to its end."""
+    """A measured run that did not finish."""
 
 
 def run_graph(seconds: float, *options: str) -> dict[str, Any]:
-    """Run the orchestrator to its end.
-
-    Args:
-        seconds: Simulated time [s].
-        *options: Its further options.
-
-    Returns:
-        Its summary, and under `wall_s` how long all of it took.
+    """Run the orchestrator for a simulated time [s]; return its summary and the time in `wall_s`.
 
     Raises:
-        BenchError: If there is nothing to measure.
+        BenchError: If the run did not finish.
     """
     fixed = ["--quiet", "--no-report", "--duration", str(seconds)]
     command = [executable_path("orchestrator")]
@@ -54,16 +47,16 @@ def run_graph(seconds: float, *options: str) -> dict[str, Any]:
         wall = time.perf_counter() - began
         file = Path(folder) / "latest" / "summary.json"
         if code not in (0, 1) or not ("--no-record" in options or file.is_file()):
-            raise BenchError(f"a run to be measured ended with {code}: {said}")
+            raise BenchError(f"a measured run exited with code {code}: {said}")
         summary: dict[str, Any] = json.loads(file.read_text("utf-8")) if file.is_file() else {}
     return {**summary, "wall_s": wall}
 
 
 def measure_lockstep(work: Workload) -> list[Measurement]:
-    """Run the scenario in lockstep, recorded, composed and in six processes, and their limits.
+    """Measure recorded lockstep runs, composed and in six processes, and their upper bounds.
 
-    The limit of composed nodes is the in-process loop that writes the same bag; that of six
-    processes is what their messages allow without computation. All four take turns.
+    The bound of composed nodes is the in-process loop that writes the same bag. The bound of six
+    processes is their message passing without computation. The four runs are interleaved.
     """
     seconds, ticks = float(work.record.times[-1]), len(work.record)
     one, six, written, wire = [], [], [], []
@@ -77,11 +70,11 @@ def measure_lockstep(work: Workload) -> list[Measurement]:
         Measurement("in-process, writing the same bag", "ticks/s", written),
         Measurement("composed, lockstep, recording", "ticks/s", composed),
         Measurement(
-            "  of the loop that writes the same bag", "", _over(composed, written), minimum=0.75
+            "  relative to in-process with the bag", "", _over(composed, written), minimum=0.75
         ),
-        Measurement("messages of six processes alone, recorded", "ticks/s", wire),
+        Measurement("message passing of six processes alone, recorded", "ticks/s", wire),
         Measurement("six processes, lockstep, recording", "ticks/s", apart),
-        Measurement("  of the wire's limit", "", _over(apart, wire), minimum=0.6),
+        Measurement("  relative to message passing alone", "", _over(apart, wire), minimum=0.6),
         Measurement("start to first tick, composed", "s", _starts(one), maximum=2.0),
         Measurement("start to first tick, six processes", "s", _starts(six), maximum=3.0),
     ]
@@ -100,7 +93,7 @@ def _over(values: list[float], limits: list[float]) -> list[float]:
 
 
 def measure_short_run(work: Workload) -> list[Measurement]:
-    """Take the time of a run that does next to nothing, from the command to its end."""
+    """Measure the total time of a minimal run, from the command to its end."""
     options = ("--composed", "--no-record")
     walls = [float(run_graph(0.05, *options)["wall_s"]) for _ in range(work.repeats)]
     return [
@@ -109,9 +102,9 @@ def measure_short_run(work: Workload) -> list[Measurement]:
 
 
 def measure_real_time(work: Workload) -> list[Measurement]:
-    """Count missed deadlines composed, recording, beside a bare loop, at each rate.
+    """Measure missed deadlines of recorded composed nodes and of a bare loop, at each rate.
 
-    Also under SCHED_FIFO where this machine permits it.
+    Repeat under SCHED_FIFO if the machine permits it.
     """
     found = []
     for priority in (0, PRIORITY) if may_use_fifo() else (0,):
@@ -129,7 +122,7 @@ def measure_real_time(work: Workload) -> list[Measurement]:
 
 
 def real_time_options(hertz: float, priority: int) -> list[str]:
-    """Return the orchestrator's options for a rate, with plant steps that are short enough."""
+    """Return the orchestrator's options for a rate, with a plant step of at most one tick."""
     words = ["--composed", "--pacing", "realtime", "--set", f"plant.rate={hertz:g}"]
     if hertz > _FINEST:
         words += ["--set", f"plant.time_step={1.0 / hertz:.12g}"]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Processes and ROS domains apart from all others on this machine, for measurements and tests."""
+"""Isolated processes and ROS domains for benchmarks and tests."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from tactile_hand_ros.ros.processes import (
 _PORT_BASE = 32768
 _ABORT_SECONDS = 5.0
 _DOMAINS = range(60, 102)
-"""Lower domains are left to people, higher ones meet ephemeral ports."""
+"""Lower domains are left to users; higher ones collide with ephemeral ports."""
 
 
 @contextlib.contextmanager
@@ -31,10 +31,7 @@ def isolated_domain() -> Iterator[int]:
     """Reserve a ROS domain on this machine and set the environment for it.
 
     Reserving means binding TCP port 32768 + id, the convention of domain_coordinator. Processes
-    that are started inside inherit the domain, and discovery stays on this machine.
-
-    Yields:
-        The domain id.
+    started inside inherit the domain, and discovery is limited to this machine.
     """
     with _reserve() as domain:
         values = {"ROS_DOMAIN_ID": str(domain), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
@@ -70,7 +67,7 @@ def _environment(values: Mapping[str, str]) -> Iterator[None]:
 
 
 class CapturedProcess(ChildProcess):
-    """A process whose output is kept; its group ends with the block."""
+    """A process with captured output; its group ends with the block."""
 
     def __init__(
         self,
@@ -78,32 +75,32 @@ class CapturedProcess(ChildProcess):
         *,
         env: Mapping[str, str] | None = None,
     ) -> None:
-        """Start it; see `ChildProcess`."""
+        """Start the process; see `ChildProcess`."""
         self._files = [tempfile.TemporaryFile("w+b") for _ in range(2)]  # noqa: SIM115 (they live as long as it)
-        # With a fault handler, SIGABRT prints where a process hangs.
+        # With the fault handler, SIGABRT prints the stack of a hung process.
         env = {"PYTHONFAULTHANDLER": "1", **(env or {})}
         super().__init__(command, *self._files, env=env)
 
     @property
     def stdout(self) -> str:
-        """What was written to the standard output so far."""
+        """Text on standard output so far."""
         return self._read(0)
 
     @property
     def stderr(self) -> str:
-        """What was written to the standard error so far."""
+        """Text on standard error so far."""
         return self._read(1)
 
     def _read(self, index: int) -> str:
         descriptor = self._files[index].fileno()
-        # The child writes at the same offset: read without moving it.
+        # The child shares the file offset, so read without moving it.
         return os.pread(descriptor, os.fstat(descriptor).st_size, 0).decode(errors="replace")
 
     def wait(self, timeout: float = 20.0) -> int:
         """Wait for the end and return the exit code.
 
         Raises:
-            TimeoutError: With all output so far and where each of its threads stood.
+            TimeoutError: With all output so far and the stacks of its threads.
         """
         try:
             wait_until(lambda: self.returncode is not None, timeout)
@@ -144,11 +141,5 @@ class CapturedProcess(ChildProcess):
 def start_executable(
     name: str, *args: str, env: Mapping[str, str] | None = None
 ) -> CapturedProcess:
-    """Start an executable of this package as ``ros2 run`` does.
-
-    Args:
-        name: Such as ``plant``.
-        *args: Its arguments.
-        env: Variables to set or change.
-    """
+    """Start an executable of this package such as ``plant``, as ``ros2 run`` does."""
     return CapturedProcess([executable_path(name), *args], env=env)

@@ -24,11 +24,11 @@ class Measurement:
     """Samples of one quantity.
 
     Attributes:
-        name: What was measured.
+        name: Name of the quantity.
         unit: Its unit.
         samples: The samples.
-        maximum: Upper bound of the median; NaN for none.
-        minimum: Lower bound of the median; NaN for none.
+        maximum: Target, upper bound of the median; NaN for none.
+        minimum: Target, lower bound of the median; NaN for none.
     """
 
     name: str
@@ -63,7 +63,7 @@ class Measurement:
 
 
 def to_json(results: Sequence[Measurement]) -> dict[str, Any]:
-    """Return results and machine as plain data."""
+    """Return the results and a description of the machine as plain data."""
     machine = {"cpus": os.cpu_count(), "system": platform.platform(), "versions": versions()}
     rows = []
     for result in results:

@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The limit that the wire sets: the graph of a run with nothing in it but its messages.
+"""Upper bound set by message passing: the graph of a run without any computation.
 
-The same processes, topics, readers and loop as in a run, but each node only counts what it receives
-and sends bytes on as soon as it has all of a tick: no numbers, no parameters, no diagnostics.
+Processes, topics, subscribers and loop are those of a run. But each node only counts the messages
+it receives and sends bytes once its inputs of a tick are complete. There are no numbers, no
+parameters and no diagnostics.
 
-As a script with ``ROLES READERS TICKS`` it is one process, with one or several roles joined by
-commas.
+As a script with ``ROLES READERS TICKS`` it is one process, with roles joined by commas.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ from tactile_hand_ros.ros.middleware import use_sockets
 from tactile_hand_ros.ros.processes import wait_until
 
 _NAMESPACE = "wire"
-_BYTES = 200  # of a message, as many as those of a run have in the middle
+_BYTES = 200  # size of a message, about the median of a run
 _COUNT = struct.Struct("<I")
 _WARM = 200  # ticks
 _NUDGE = 0.2  # s
@@ -44,19 +44,13 @@ _PATIENCE = 60.0  # s
 
 
 def rate(processes: Sequence[str], ticks: int, *, recorded: bool) -> float:
-    """Return how many ticks a second go round.
-
-    Args:
-        processes: Roles of each process, joined by commas.
-        ticks: How many are counted.
-        recorded: Whether the recorder receives everything too.
-    """
+    """Return the ticks per second of processes, each given by its roles joined by commas."""
     with isolated_domain(), tempfile.TemporaryDirectory() as folder, ExitStack() as stack:
         if recorded:
             flags = ("-p", f"output:={folder}/bag", "-p", f"topics:=['/{_NAMESPACE}/.*']")
             stack.enter_context(start_executable("recorder", "--ros-args", *flags))
             wait_until(lambda: list(Path(folder).glob("bag/*.mcap")), _PATIENCE, "the recorder")
-        path = {"PYTHONPATH": os.pathsep.join(sys.path)}  # of `bench`
+        path = {"PYTHONPATH": os.pathsep.join(sys.path)}  # so that it finds `bench`
         members = [
             stack.enter_context(CapturedProcess([sys.executable, __file__, *words], env=path))
             for words in ((roles, str(int(recorded)), str(ticks)) for roles in processes)
@@ -67,7 +61,7 @@ def rate(processes: Sequence[str], ticks: int, *, recorded: bool) -> float:
 
 
 class Link(NamedTuple):
-    """A topic that has a message for each tick, its publisher and its subscribers."""
+    """A topic with a message per tick, its publisher and its subscribers."""
 
     topic: str
     publisher: str
@@ -75,7 +69,7 @@ class Link(NamedTuple):
 
 
 def each_tick() -> list[Link]:
-    """Return the topics of the paper's scenario that have a message for each tick."""
+    """Return the topics of the paper's scenario with a message per tick."""
     acting = (names.REGULATOR, names.OPTIMIZER, names.CONTROLLER)
     links = [
         Link(names.JOINT_STATES, PLANT, (names.CONTROLLER,)),
@@ -101,16 +95,12 @@ def each_tick() -> list[Link]:
 
 
 class Role:
-    """A node that passes on what it receives; the plant begins, and begins again."""
+    """A node that forwards the messages it receives; the plant starts each tick."""
 
     def __init__(self, name: str, wiring: Sequence[Link], recorders: int, ticks: int) -> None:
-        """Create publishers and subscriptions.
+        """Create publishers and subscriptions of a node of the run.
 
-        Args:
-            name: A node of the run.
-            wiring: Who receives what from whom.
-            recorders: How many more receive everything.
-            ticks: How many are counted.
+        `recorders` is the number of additional subscribers to all topics.
         """
         self.node = Node(name, namespace=_NAMESPACE)
         sent = [link for link in wiring if link.publisher == name]
@@ -139,7 +129,7 @@ class Role:
             publisher.publish(data)
 
     def _nudge(self) -> None:
-        """Send the present tick again, if all its readers are there."""
+        """Send the current tick again if all its subscribers are matched."""
         present = [publisher.get_subscription_count() for publisher in self._publishers]
         if self._tick < self._last and present == self._readers:
             self._send(self._tick)
@@ -148,7 +138,7 @@ class Role:
         (tick,) = _COUNT.unpack_from(data, 4)
         if tick < self._tick:
             if tick == self._tick - 1 and topic == self._first and not self._leads:
-                self._send(tick)  # a node has not received it
+                self._send(tick)  # another node missed it
             return
         received = self._open.setdefault(tick, set())
         received.add(topic)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the measurements work on."""
+"""The workload of the benchmarks."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ SCENARIO = "paper"
 
 @dataclass(frozen=True)
 class Workload:
-    """What the measurements work on, prepared once, with everything compiled and warm.
+    """The workload of the benchmarks, prepared once, with all code compiled and warm.
 
     Attributes:
         scenario: The scenario.
-        record: A run of it, from which inputs are taken.
-        repeats: How often whole runs are repeated.
+        record: A run of it that provides inputs.
+        repeats: Number of repetitions of whole runs.
         seconds: Length of each run in real time [s].
         rates: Rates in real time [Hz].
     """
@@ -35,13 +35,13 @@ class Workload:
     def prepare(
         cls, ticks: int | None, repeats: int, seconds: float, rates: tuple[float, ...]
     ) -> Workload:
-        """Run the scenario once, over some ticks or all of its own."""
+        """Run the scenario once, for some ticks or all."""
         scenario = load_scenario(SCENARIO)
         return cls(scenario, ClosedLoop(scenario).run(ticks), repeats, seconds, rates)
 
     @property
     def single(self) -> Scenario:
-        """The scenario with one plant step a tick."""
+        """The scenario with one plant step per tick."""
         return self.scenario.changed({"plant.rate": 1.0 / self.scenario.plant.time_step})
 
     @property

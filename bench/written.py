@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The in-process loop that writes the bag of a run: a limit for nodes in one process."""
+"""The in-process loop that writes the bag of a run: an upper bound for composed nodes."""
 
 from __future__ import annotations
 
@@ -30,13 +30,9 @@ Message = tuple[str, str, bytes]
 
 
 def written_calls(scenario: Scenario, ticks: int) -> float:
-    """Return how many ticks a second are computed in-process, encoded and given to a writer.
+    """Return the ticks per second of computing in-process, encoding and writing.
 
-    The writer is that of a recorder which shares its process with the nodes.
-
-    Args:
-        scenario: What is run.
-        ticks: How many ticks.
+    The writer is that of a recorder in the same process as the nodes.
     """
     loop = ClosedLoop(scenario)
     hand = loop.plant.hand
@@ -61,10 +57,10 @@ def written_calls(scenario: Scenario, ticks: int) -> float:
 
 
 class TickMessages:
-    """Encodes the ticks of a record as the nodes would."""
+    """Encodes the ticks of a record as the nodes do."""
 
     def __init__(self, record: Record) -> None:
-        """Take a record, which may be filled tick by tick."""
+        """Create the codecs for a record, which may be filled tick by tick."""
         self._record = record
         fingers, joints = record.finger_names, record.joint_names
         self._states = JointCodec(joints, ("position", "velocity", "effort"))
@@ -120,7 +116,7 @@ class TickMessages:
         forces: NDArray[np.float64],
         row: int,
     ) -> Iterator[Message]:
-        """Yield the forces of a tick, of those of all ticks of shape (n, k, 3), by finger."""
+        """Yield the forces of one tick by finger; `forces` has shape (n, k, 3)."""
         stamp = int(self._record.stamps[row])
         of_tick = zip(self._record.finger_names, codecs, forces[row].tolist(), strict=True)
         for name, codec, force in of_tick:

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Studies and campaigns; they import the package, and nothing imports them."""
+"""Studies and campaigns; the package does not import them."""

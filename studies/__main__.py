@@ -13,7 +13,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Literal
 
-# Behind the installed package, which is what runs; also for the processes that are started.
+# Append, so that the installed package runs, in child processes too.
 if __name__ == "__main__":
     sys.path[0:1] = []
     sys.path.append(str(Path(__file__).resolve().parents[1]))
@@ -41,14 +41,14 @@ Table = tuple[str, Sequence[str], Sequence[Sequence[str]]]
 
 
 def _kept(study: Study, out: Path, jobs: int) -> RunTable:
-    """Make the runs of a study that are not done yet, and return the table of all."""
+    """Make the missing runs of a study, and return the table of all runs."""
     with progress("running") as watch, workers(jobs):
         keep(study, out, watch)
     return read_table(out)
 
 
 def _finish(out: Path, files: list[Path], *tables: Table) -> None:
-    """Write tables as Markdown, print them, and print which files there are."""
+    """Write tables as Markdown, and print the tables and the files."""
     text = "\n".join(markdown(columns, rows) for _, columns, rows in tables)
     out.joinpath("summary.md").write_text(text, encoding="utf-8")
     for table in tables:
@@ -62,7 +62,7 @@ def slip(
     jobs: JobsOption = -1,
     seed: SeedOption = 0,
 ) -> None:
-    """Measure how fast slip is found and stopped, and at what grasp force."""
+    """Measure how fast slip is detected and stopped, and at what grasp force."""
     from studies.slip import study as s
     from tactile_hand_ros.report.style import save
 
@@ -79,7 +79,7 @@ def invariance(
     jobs: JobsOption = -1,
     seed: SeedOption = 0,
 ) -> None:
-    """Turn and shrink the hand, reorder its fingers, change rates and encoders."""
+    """Rotate and shrink the hand, reorder its fingers, change rates and encoders."""
     from studies import invariance as i
 
     check_writable(out)
@@ -99,11 +99,11 @@ def loads(
         list[float] | None,
         typer.Option(help="Floor of the reserve; may be repeated. A grid by default.", min=0.0),
     ] = None,
-    hand: Annotated[Literal["paper", "human"], typer.Option(help="Which is loaded.")] = "paper",
+    hand: Annotated[Literal["paper", "human"], typer.Option(help="Hand to load.")] = "paper",
 ) -> None:
-    """Let random loads hit a relaxed grasp: comfort against safety over the reserve.
+    """Apply random loads to a relaxed grasp: comfort against safety over the reserve.
 
-    What is in the folder already is kept: after an interruption the same command continues.
+    After an interruption, the same command continues with the results in the folder.
     """
     from studies.slip import loads as load_study
     from tactile_hand_ros.report.style import save
@@ -120,7 +120,7 @@ def loads(
 def faults(
     out: OutOption = Path("faults"),
     runs: Annotated[
-        int, typer.Option(help="Number of injections; 0 only shows what is stored.", min=0)
+        int, typer.Option(help="Number of injections; 0 only shows stored results.", min=0)
     ] = 500,
     seed: SeedOption = 0,
     way: Annotated[
@@ -132,11 +132,11 @@ def faults(
     ] = None,
     deaths: Annotated[
         bool | None,
-        typer.Option(help="Only nodes that are killed or stopped, or only all other faults."),
+        typer.Option(help="Only killed or stopped nodes, or only other faults."),
     ] = None,
     jobs: JobsOption = -1,
 ) -> None:
-    """Let parts of the running hand fail, and measure drops, time to safety and forces.
+    """Inject faults into the running hand, and measure drops, time to safety and forces.
 
     Each way to run has a folder. An interrupted campaign continues where it stopped.
     """
@@ -147,11 +147,11 @@ def faults(
     ways = tuple(dict.fromkeys(way or space.WAYS))
     if unknown := [name for name in ways if name not in space.WAYS]:
         raise ConfigurationError(
-            f"there is no way '{unknown[0]}' to run; choose from {', '.join(space.WAYS)}"
+            f"--way: unknown value '{unknown[0]}'; choose from {', '.join(space.WAYS)}"
         )
     if unknown := [name for name in hand or () if name not in space.SITUATIONS]:
         raise ConfigurationError(
-            f"the campaign has no hand '{unknown[0]}'; choose from {', '.join(space.SITUATIONS)}"
+            f"--hand: unknown value '{unknown[0]}'; choose from {', '.join(space.SITUATIONS)}"
         )
     check_writable(out)
     cells = space.cells(hand or tuple(space.SITUATIONS))
@@ -165,11 +165,11 @@ def faults(
 
 
 def fuzz(
-    seconds: Annotated[float, typer.Option(help="How long [s].", min=1.0)] = 60.0,
+    seconds: Annotated[float, typer.Option(help="Duration [s].", min=1.0)] = 60.0,
     seed: SeedOption = 0,
     out: OutOption = Path("fuzz"),
 ) -> None:
-    """Feed hostile bytes to running nodes until one dies, hangs, grows or moves."""
+    """Send hostile bytes to running nodes until one crashes, hangs, grows or moves the object."""
     from studies.fuzz import GROWTH, fuzz_nodes
 
     report = fuzz_nodes(seconds, seed, out)
@@ -182,7 +182,7 @@ def stalls(
     out: OutOption = Path("stalls"),
     jobs: JobsOption = -1,
 ) -> None:
-    """Let commands stop and come late, with the guard and without it."""
+    """Stop and delay commands, with and without the guard."""
     from studies import stalls as s
 
     check_writable(out)

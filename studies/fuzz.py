@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Running nodes under hostile messages: damaged bytes on every input.
+"""Fuzzing of running nodes: damaged bytes on every input.
 
-The bytes of a message are damaged behind its header, so that it is of a type that the nodes read.
-Values that are plausible are not sent here: see `make study NAME=faults`. Nor are requests of
-services: the middleware trusts their lengths, see docs/how-to/security.md. Readers of messages and
-files are attacked without nodes by `test/property/test_hostile_*.py`.
+The bytes of a message are damaged after its header, so that nodes accept its type. Plausible values
+are covered by `make study NAME=faults`. Service requests are excluded, because the middleware
+trusts their lengths; see docs/how-to/security.md. `test/property/test_hostile_*.py` fuzz the
+readers of messages and files without nodes.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from tactile_hand_ros.ros import qos
 from tactile_hand_ros.scenario.scenario import load_scenario
 
 GROWTH = 50 * 2**20
-"""Memory by which a process may grow [bytes]."""
+"""Maximum growth of a process's memory [B]."""
 
 _CHANGES = {
     "duration": 86400.0,
@@ -40,11 +40,11 @@ _CHANGES = {
     "plant.autostart": False,
     "targets": [],
 }
-_BURST = 20  # inputs between two looks at the hand
-_STILL = 2.0  # s of work without a tick that count as a hang
+_BURST = 20  # inputs between two checks of the hand
+_STILL = 2.0  # s of processor time without a tick that count as a hang
 _FAR = 0.05  # m that the object may move under attack at rest
 _PAUSE = 0.02  # s between two bursts
-_ROOM = 1000  # bytes that a damaged message may have behind its header
+_ROOM = 1000  # maximum bytes of a damaged message after its header
 _WORDS = (
     *(b"", b"\0", b"\xff", bytes(4), bytes(8), b"\xff" * 4, b"\xff" * 8, b"\xff\xff\xff\x7f"),
     *(struct.pack("<d", value) for value in (1e308, -1e308, float("nan"), float("inf"), 5e-324)),
@@ -54,13 +54,13 @@ _WORDS = (
 
 @dataclass
 class Report:
-    """What hostile inputs did.
+    """Result of fuzzing.
 
     Attributes:
-        inputs: How many were sent.
-        finding: What went wrong, empty while nothing did; the attack ends with it.
-        growth: Largest growth of the memory of a process, bytes.
-        grew_most: The node that has grown so.
+        inputs: Number of sent inputs.
+        finding: The first failure, which ends the attack; empty without one.
+        growth: Largest growth of a process's memory [B].
+        grew_most: The node with that growth.
     """
 
     inputs: int = 0
@@ -70,7 +70,7 @@ class Report:
 
 
 def damaged(data: bytes, chance: random.Random) -> bytes:
-    """Return bytes with one to five damages: overwritten, inserted, cut out, repeated, random."""
+    """Return bytes with one to five damages: overwrite, insert, delete, repeat or truncate."""
     changed = bytearray(data)
     for _ in range(chance.randint(1, 5)):
         at, size = chance.randint(0, len(changed)), chance.randint(0, 40)
@@ -90,7 +90,7 @@ def damaged(data: bytes, chance: random.Random) -> bytes:
 
 
 def _inputs(hand: RunningHand) -> dict[str, Any]:
-    """Return every topic that a node reads, with its type."""
+    """Return every topic that a node subscribes to, with its type."""
     topics: dict[str, Any] = {
         names.JOINT_STATES: JointState,
         names.JOINT_COMMAND: JointState,
@@ -111,12 +111,10 @@ def _inputs(hand: RunningHand) -> dict[str, Any]:
 
 
 def fuzz_nodes(seconds: float, seed: int, folder: Path) -> Report:
-    """Attack running nodes for a time, or until something goes wrong.
+    """Fuzz running nodes for some seconds, or until the first finding.
 
-    Args:
-        seconds: How long.
-        seed: Of all inputs; the same seed gives the same ones, on every machine.
-        folder: Where the last inputs before a finding are kept.
+    The same seed gives the same inputs on every machine. The last inputs before a finding are
+    written to the folder.
     """
     scenario = load_scenario("paper", _CHANGES)
     report = Report()
@@ -141,7 +139,7 @@ def fuzz_nodes(seconds: float, seed: int, folder: Path) -> Report:
                 chance = random.Random(f"{seed}/{number}")
                 topic = chance.choice(list(inputs))
                 data = good[topic][:4] + damaged(good[topic][4:], chance)
-                with suppress(_rclpy.RCLError):  # longer than any message of a bounded type
+                with suppress(_rclpy.RCLError):  # too long for a bounded type
                     publishers[topic].publish(data)
                     sent.append(f"{topic} {data.hex()}")
             report.inputs += _BURST
@@ -171,10 +169,10 @@ def _wait(hand: RunningHand) -> None:
 
 
 def _next_ticks(hand: RunningHand, processes: dict[str, psutil.Process]) -> Any:
-    """Return where the object was seen just now; nothing if a node is too busy to answer.
+    """Return the latest positions of the object; none if a node hangs.
 
-    A machine that is busy with something else is no hang: what counts is the time that a node works
-    without a tick, or a silence of ten times that.
+    A busy machine is no hang. The criterion is processor time of a node without a tick, or ten
+    times as much wall time.
     """
     before = {name: sum(p.cpu_times()[:2]) for name, p in processes.items()}
     begin = time.monotonic()
@@ -187,15 +185,15 @@ def _next_ticks(hand: RunningHand, processes: dict[str, psutil.Process]) -> Any:
 
 
 def _wrong(hand: RunningHand, processes: dict[str, psutil.Process], start: Any) -> str:
-    """Return what is wrong with the hand; empty while all is well."""
+    """Return a finding about the hand, empty without one."""
     for name in processes:
         code = hand.processes[name].returncode
         if code is not None:
-            return f"death: {name} ended with code {code}"
+            return f"crash: {name} exited with code {code}"
     seen = _next_ticks(hand, processes)
     if not len(seen):
         return f"hang: no tick for {_STILL:g} s of processor time"
     moved = float(np.linalg.norm(seen - start, axis=1).max())
     if moved > _FAR:
-        return f"unsafe motion: the object has moved by {1e3 * moved:.0f} mm"
+        return f"unsafe motion: the object moved by {1e3 * moved:.0f} mm"
     return ""

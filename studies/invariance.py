@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The same scenario on a hand that is turned, smaller, lighter, or lists its fingers differently.
+"""The same scenario on a hand that is rotated, smaller, lighter, or lists its fingers differently.
 
-Physics does not care how a hand is turned or in which order its fingers are listed; a run must not
-either. What changes with size, with the rates of ticks and skin, and with the bits of encoders may
-change numbers, but no outcome. `make study NAME=invariance` compares the runs.
+Physics does not depend on the orientation of a hand or the order of its fingers, so a run must not
+either. Size, rates of ticks and skin, and encoder bits may change numbers, but no outcome.
+`make study NAME=invariance` compares the runs.
 """
 
 from __future__ import annotations
@@ -37,22 +37,15 @@ COLUMNS = ("scenario", "changed", "alarms", "largest k_f", "last k_f", "slid", "
 SCENARIOS = ("hold", "pull", "human_hold", "human_pull")
 
 RATES = ((200, 200), (500, 100), (1000, 2000), (2000, 1000))
-"""Of ticks and skin, Hz; fingers as light as the human hand's cannot be kept at 125 Hz."""
+"""Rates of ticks and skin [Hz]; at 125 Hz, fingers as light as the human hand's are unstable."""
 BITS = (12, 14, 20)
 LINKS, MASSES = (0.01, 0.05, 0.25), (0.005, 0.05, 0.3, 1.0)
 
-_NEARLY = 5e-4  # rad; with r_z exactly horizontal the frame through the contacts has no upper side
+_NEARLY = 5e-4  # rad; with r_z exactly horizontal the frame of the contacts is ambiguous
 
 
 def turned(name: str, rotation: Array, folder: Path, changes: dict[str, Any]) -> Scenario:
-    """Return a scenario with all that has a direction turned in the palm frame.
-
-    Args:
-        name: Scenario.
-        rotation: How everything is turned, shape (3, 3).
-        folder: Where the turned hand is written.
-        changes: Further changes by dotted key.
-    """
+    """Return a scenario with all directions rotated in the palm frame; write its hand."""
     values = dict(changes)
     base = load_scenario(name, values)
 
@@ -79,7 +72,7 @@ def turned(name: str, rotation: Array, folder: Path, changes: dict[str, Any]) ->
 
 
 def reordered(name: str, order: Sequence[int], folder: Path, changes: dict[str, Any]) -> Scenario:
-    """Return a scenario whose hand lists its fingers in another order; joints keep theirs."""
+    """Return a scenario whose hand lists its fingers in another order; the joint order stays."""
     base = load_scenario(name, changes)
     points = Plant(base.plant).state.contacts.positions
     values = {
@@ -91,10 +84,10 @@ def reordered(name: str, order: Sequence[int], folder: Path, changes: dict[str, 
 
 
 def _targets(base: Scenario, rotation: Array, points: Array, others: Array) -> list[dict[str, Any]]:
-    """Return turned targets of a hand whose contacts lie elsewhere, or come in another order.
+    """Return rotated targets for a hand with other contacts or another order of contacts.
 
-    The frame through the contacts follows from their order, and has a rule of which side is up:
-    what is asked for is how far it turns from where it starts.
+    The virtual frame depends on the order of the contacts. So the targets are expressed relative to
+    the initial frame.
     """
     first, other = (VirtualFrame().orientation(p) for p in (points, others))
     targets = []
@@ -112,15 +105,10 @@ def _targets(base: Scenario, rotation: Array, points: Array, others: Array) -> l
 def resized(
     name: str, scale: float, link: float, mass: float, folder: Path, changes: dict[str, Any]
 ) -> Scenario:
-    """Return a scenario in another size, with a cube, and gains that fit.
+    """Return a scenario in another size, with a cube and matching gains.
 
-    Args:
-        name: Scenario.
-        scale: Size against that of the scenario's hand.
-        link: Mass of each link, kg.
-        mass: Of the object, kg.
-        folder: Where the hand is written.
-        changes: Further changes by dotted key.
+    `scale` is relative to the scenario's hand; `link` and `mass` are the masses of each link and of
+    the object [kg].
     """
     base = load_scenario(name)
     thing, law = base.plant.object, "manipulation_controller.law."
@@ -148,15 +136,10 @@ def _changed_hand(
     link: float | None = None,
     order: Sequence[int] | None = None,
 ) -> Path:
-    """Write a scenario's hand changed, and return its file.
+    """Write a modified copy of a scenario's hand, and return its file.
 
-    Args:
-        scenario: Whose hand it is.
-        folder: Where to write.
-        rotation: About the palm's origin, shape (3, 3).
-        scale: Of all lengths.
-        link: Mass of each link, kg; as it is by default.
-        order: Of the fingers; as it is by default.
+    Defaults leave the hand unchanged. It can be rotated about the palm's origin, scaled in all
+    lengths, given another mass of each link [kg], or another order of fingers.
     """
     hand = load_hand_config(scenario.hand)
     text = describe(hand.folder / hand.urdf, hand.layout(scenario.layout), hand.any_inertia)
@@ -185,8 +168,8 @@ def _changed_hand(
 
 
 def _turn_mounts(root: ElementTree.Element, palm: str, rotation: Array) -> None:
-    """Turn the joints at the palm about its origin."""
-    euler = optional("scipy.spatial.transform", "A turned hand").Rotation
+    """Rotate the joints at the palm about its origin."""
+    euler = optional("scipy.spatial.transform", "A rotated hand").Rotation
     for joint in root.iter("joint"):
         parent = joint.find("parent")
         if parent is None or parent.get("link") != palm:
@@ -200,24 +183,24 @@ def _turn_mounts(root: ElementTree.Element, palm: str, rotation: Array) -> None:
 
 
 def _numbers(vector: Array) -> str:
-    """Return a vector as URDF writes it."""
+    """Return a vector in URDF notation."""
     return " ".join(map(repr, vector.tolist()))
 
 
 def alarms(record: Record) -> int:
-    """Return the number of alarms of a run; false ones where nothing slips."""
+    """Return the number of alarms of a run; they are false if no contact slips."""
     slips = record.grip == ContactState.SLIP
     return int((slips[1:] & ~slips[:-1]).sum())
 
 
 def run_turned(name: str, rotation: Array, changes: dict[str, Any] | None = None) -> Record:
-    """Run a turned scenario; see `turned`."""
+    """Run a rotated scenario; see `turned`."""
     with tempfile.TemporaryDirectory() as folder:
         return ClosedLoop(turned(name, rotation, Path(folder), changes or {})).run()
 
 
 def orientations(count: int, seed: int) -> list[tuple[str, Array]]:
-    """Return named rotations: none, the contact normals on palm z, and random ones."""
+    """Return named rotations: none, contact normals to palm z, and random ones."""
     random = np.random.default_rng(seed)
     found = [
         ("none", np.eye(3)),
@@ -232,7 +215,7 @@ def orientations(count: int, seed: int) -> list[tuple[str, Array]]:
 
 
 def ways(name: str, count: int, seed: int) -> list[tuple[str, Callable[..., Scenario]]]:
-    """Return what a scenario is compared with: a label, and what makes it in a `folder`."""
+    """Return the variants of a scenario: a label, and a function that creates it in a `folder`."""
     make = functools.partial
     found: list[tuple[str, Callable[..., Scenario]]] = [
         (label, make(turned, name, rotation, changes={}))
@@ -258,7 +241,7 @@ def _changed(name: str, changes: dict[str, Any], folder: Path) -> Scenario:
 
 
 def compare(name: str, count: int, seed: int) -> list[list[str]]:
-    """Run a scenario in several ways; return rows of a table, columns as in `COLUMNS`."""
+    """Run all variants of a scenario; return table rows with the columns of `COLUMNS`."""
     rows = []
     for label, make in ways(name, count, seed):
         with tempfile.TemporaryDirectory() as folder:

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Commands that stop for a while or are always late: does the guard keep the object?
 
-In the process, tick by tick and without a clock, so that the results are the same on every
-computer. During a stall nothing but the plant and the guard runs: no skin, no regulator, no
-controller. `make study NAME=stalls` makes the table of docs/results/measurements.md.
+It runs in-process, tick by tick and without a clock, so the results are the same on every computer.
+During a stall only the plant and the guard run: no skin, no regulator, no controller.
+`make study NAME=stalls` makes the table of docs/results/measurements.md.
 """
 
 from __future__ import annotations
@@ -24,12 +24,12 @@ from tactile_hand_ros.sweep.space import Choice
 from tactile_hand_ros.sweep.table import Table
 
 LAST_TORQUE = GuardConfig(age_limit=1000)
-"""As without a guard: the last torque acts for a second."""
+"""Equivalent to no guard: the last torque acts for a second."""
 
 _RECOVERY = 0.5  # s after a stall, and under a delay
 
 
-GUARDS = {"no": LAST_TORQUE, "yes": None}  # that of the scenario
+GUARDS = {"no": LAST_TORQUE, "yes": None}  # None: that of the scenario
 CASES = {
     "at rest": ("paper", 9.0),
     "moving": ("paper", 0.8),
@@ -41,17 +41,17 @@ CASES = {
     "a pull grows": ("pull", 5.5),
     "shaken": ("shake", 3.0),
 }
-"""Scenario, and the time in it at which commands stop [s]."""
+"""Scenario, and the simulated time at which commands stop [s]."""
 FAULTS = {f"{1e3 * seconds:g} ms": (seconds, 0) for seconds in (0.005, 0.05, 0.2, 1.0)}
 FAULTS |= {f"{ticks} late": (0.0, ticks) for ticks in (1, 3, 4, 20)}
-"""How long all commands stop [s], or by how many ticks each is late for half a second."""
+"""Time without commands [s], or delay of each command for half a second [ticks]."""
 
 
 class GuardedLoop:
-    """A closed loop whose commands reach the joints through a guard, late or not at all."""
+    """A closed loop with a guard for the joints, whose commands may be late or missing."""
 
     def __init__(self, scenario: Scenario, config: GuardConfig | None = None) -> None:
-        """Build the loop of a scenario and its guard, or one with another configuration."""
+        """Build the loop of a scenario with its guard, or with another guard configuration."""
         self.loop = ClosedLoop(scenario)
         hand, plant = self.loop.plant.hand, self.loop.scenario.plant
         self.guard = CommandGuard(config or plant.guard, hand, plant.tick, plant.step)
@@ -61,7 +61,7 @@ class GuardedLoop:
         self._newest: TorqueCommand | None = None
 
     def tick(self, *, answers: bool = True, delay: int = 0) -> None:
-        """Move one tick ahead; the command of this one arrives some ticks later, if at all."""
+        """Advance by one tick; its command arrives `delay` ticks later, if at all."""
         loop = self.loop
         if answers:
             command = loop.answer(self._row, 0)
@@ -71,30 +71,30 @@ class GuardedLoop:
         self.act()
 
     def act(self) -> None:
-        """Let the newest command act on the joints for a tick, if the guard lets it."""
+        """Apply the newest command to the joints for a tick, if the guard permits it."""
         loop, newest = self.loop, self._newest
         stamp = loop.stamp
         loop.drive(lambda since, theta, rates: self.guard.step(stamp + since, theta, rates, newest))
         loop.controller.joints_held = self.guard.holding
 
     def run(self, seconds: float, *, answers: bool = True, delay: int = 0) -> None:
-        """Move ahead by simulated time, at least one tick."""
+        """Advance by a simulated time [s], at least one tick."""
         for _ in range(max(1, round(seconds * self.rate))):
             self.tick(answers=answers, delay=delay)
 
 
 class Watch:
-    """Runs a loop and keeps the worst of what the object suffers from now on.
+    """Runs a loop and records the worst effects on the object from the start.
 
     Attributes:
-        moved: Largest distance of the object from where it was at the start, m.
-        slid: Largest distance that a contact has slid since then, m.
-        peak: Largest sum of normal forces, N.
+        moved: Largest distance of the object from its initial position [m].
+        slid: Largest distance that a contact has slid since then [m].
+        peak: Largest sum of normal forces [N].
         is_diverged: Whether the simulation has diverged, because the object fell.
     """
 
     def __init__(self, guarded: GuardedLoop) -> None:
-        """Note where the object is."""
+        """Store the initial position of the object."""
         self._guarded = guarded
         state = guarded.loop.state
         self._at, self._slid = state.position, state.slid
@@ -104,7 +104,7 @@ class Watch:
     def run(
         self, seconds: float, *, answers: bool = True, delay: int = 0, moves: bool = False
     ) -> None:
-        """Run on until the simulation diverges; a commanded move of the object does not count."""
+        """Continue until the simulation diverges; a commanded motion is not counted."""
         for _ in range(max(1, round(seconds * self._guarded.rate))):
             if self.is_diverged:
                 return
@@ -121,12 +121,12 @@ class Watch:
 
     @property
     def is_lost(self) -> bool:
-        """Whether a finger does not touch, or the simulation has diverged."""
+        """Whether a finger has lost contact, or the simulation has diverged."""
         return self.is_diverged or not bool(self._guarded.loop.state.contacts.all_touching)
 
 
 def run_one(point: Point) -> dict[str, Any]:
-    """Let commands fail in a case, watch until half a second later, and return what came of it."""
+    """Make commands fail in a case, observe for another half second, and return the results."""
     (name, moment), (stall, late) = CASES[point.values["case"]], FAULTS[point.values["fault"]]
     guarded = GuardedLoop(load_scenario(name), GUARDS[point.values["guard"]])
     guarded.run(moment)
@@ -139,7 +139,7 @@ def run_one(point: Point) -> dict[str, Any]:
 
 
 def study_of() -> Study:
-    """Return all cases with both guards and all faults as a study."""
+    """Return the study of all cases with both guards and all faults."""
     space = {"case": tuple(CASES), "guard": tuple(GUARDS), "fault": tuple(FAULTS)}
     return Study({name: Choice(values) for name, values in space.items()}, run_one)
 
@@ -148,7 +148,7 @@ COLUMNS = ("", "guard", *FAULTS)
 
 
 def rows(table: Table) -> list[list[str]]:
-    """Return moved [mm] / slid [mm] / peak of the grasp force [N], columns as in `COLUMNS`."""
+    """Return moved [mm] / slid [mm] / peak grasp force [N], with the columns of `COLUMNS`."""
     numbers = zip(1e3 * table["moved_m"], 1e3 * table["slid_m"], table["peak_N"], strict=True)
     cells = [
         f"{moved:.1f} / {slid:.1f} / {peak:.0f}" if outcome == REACHED else f"**{outcome}**"

@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """Serialized messages (plain CDR), read and written without rclpy.
 
-* `header_stamp`: the stamp of any message that starts with a header, from its bytes.
-* `tables`: all messages of a topic to arrays at once, for reading bags.
+* `header_stamp`: the timestamp of any serialized message that starts with a header.
+* `tables`: all messages of a topic as arrays, for reading bags.
 * `CdrTemplate`: messages with a fixed layout, written in place, for ticks.
 * `ContentReader`: messages of any layout, one at a time.
 
-A general decoder builds one Python object a message. The messages of a topic nearly always have
-the same strings and lengths, so that every number sits at the same byte.
+A general decoder builds a Python object per message. But the messages of a topic nearly always have
+the same strings and lengths, so every number is at the same offset.
 
 Source: OMG DDS-XTypes 1.3, 7.4 (plain CDR version 1).
 """
@@ -27,7 +27,7 @@ Array = NDArray[np.float64]
 Rows = NDArray[np.intp]
 
 _LITTLE_ENDIAN = b"\x00\x01\x00\x00"
-_ORIGIN = len(_LITTLE_ENDIAN)  # the encapsulation; alignment counts from behind it
+_ORIGIN = len(_LITTLE_ENDIAN)  # alignment counts from the end of the encapsulation
 _STAMP = struct.Struct("<iI")
 _AFTER_STAMP = _ORIGIN + _STAMP.size
 _LENGTH = struct.Struct("<I")
@@ -36,7 +36,7 @@ _SECOND = 1_000_000_000
 
 
 def to_nanoseconds(seconds: int, nanoseconds: int) -> int:
-    """Return the two numbers of a stamp as one.
+    """Return a timestamp of seconds and nanoseconds in nanoseconds.
 
     Raises:
         MessageError: If seconds are negative or nanoseconds are not below one second.
@@ -50,10 +50,10 @@ def to_nanoseconds(seconds: int, nanoseconds: int) -> int:
 
 
 def header_stamp(data: bytes) -> int:
-    """Return the stamp [ns] of a serialized message that starts with a header.
+    """Return the timestamp [ns] of a serialized message that starts with a header.
 
     Raises:
-        MessageError: If there is none, or it is not a time.
+        MessageError: If there is none, or it is not a valid time.
     """
     if len(data) < _AFTER_STAMP:
         raise MessageError(f"{len(data)} bytes, expected a message that starts with a stamp.")
@@ -67,15 +67,14 @@ def clock_bytes(stamp_ns: int) -> bytes:
 
 
 class CdrTemplate:
-    """The bytes of a message that starts with a stamp, with gaps for blocks of doubles."""
+    """The bytes of a message that starts with a timestamp, with gaps for blocks of doubles."""
 
     def __init__(self) -> None:
-        """Start with the encapsulation and the stamp."""
+        """Start with the encapsulation and the timestamp."""
         self._buffer = bytearray(_LITTLE_ENDIAN + bytes(_STAMP.size))
         self._blocks: list[tuple[int, int]] = []
 
     def _align(self, size: int) -> None:
-        # Alignment counts from the end of the encapsulation.
         self._buffer += bytes(-(len(self._buffer) - _ORIGIN) % size)
 
     def text(self, text: str) -> CdrTemplate:
@@ -92,7 +91,7 @@ class CdrTemplate:
         return self
 
     def doubles(self, count: int) -> CdrTemplate:
-        """Append a gap for doubles; none at all do not align, as CDR has it."""
+        """Append a gap for doubles; in CDR, an empty block is not aligned."""
         if count:
             self._align(_DOUBLE.itemsize)
             self._blocks.append((len(self._buffer), count))
@@ -100,24 +99,24 @@ class CdrTemplate:
         return self
 
     def finish(self) -> list[Array]:
-        """Return the blocks, to be written in place before `stamped`; nothing can follow."""
+        """Return the blocks to write in place before `stamped`; no more parts can be appended."""
         return [np.frombuffer(self._buffer, _DOUBLE, count, at) for at, count in self._blocks]
 
     def stamped(self, stamp_ns: int) -> bytes:
-        """Return the bytes with a stamp [ns] and the numbers that are in the blocks."""
+        """Return the bytes with a timestamp [ns] and the current numbers of the blocks."""
         _STAMP.pack_into(self._buffer, _ORIGIN, *divmod(stamp_ns, _SECOND))
         return bytes(self._buffer)
 
 
 @dataclass
 class Layout:
-    """Where the parts of a message are.
+    """Positions of the parts of a message.
 
     Attributes:
-        little: Whether the numbers are little-endian.
+        little: Whether numbers are little-endian.
         texts: All strings in order; the first is the header's frame_id.
         doubles: Offset and count of each group of doubles.
-        fixed: Ranges of bytes that a message must share to have this layout.
+        fixed: Byte ranges that are equal in all messages of this layout.
     """
 
     little: bool
@@ -131,8 +130,8 @@ class Table:
     """Messages of one layout.
 
     Attributes:
-        rows: Which messages of the topic these are, shape (n,).
-        layout: Where the numbers are.
+        rows: Indices of the messages within the topic, shape (n,).
+        layout: Positions of the numbers.
         matrix: The bytes, shape (n, length).
     """
 
@@ -142,7 +141,7 @@ class Table:
 
     @property
     def stamps(self) -> NDArray[np.int64]:
-        """Header stamps in ns, shape (n,)."""
+        """Header timestamps [ns], shape (n,)."""
         order = "<" if self.layout.little else ">"
         seconds = self._column(_ORIGIN, 4, f"{order}i4").astype(np.int64)[:, 0]
         rest = self._column(_ORIGIN + 4, 4, f"{order}u4").astype(np.int64)[:, 0]
@@ -160,7 +159,7 @@ class Table:
 
 
 class _Cursor:
-    """Walks over one message and notes what it finds."""
+    """Parser that walks through one message and records its layout."""
 
     def __init__(self, data: bytes) -> None:
         self._data, self._at = data, _ORIGIN
@@ -229,14 +228,14 @@ PARSERS: dict[str, Callable[[_Cursor], None]] = {
     "geometry_msgs/msg/PoseStamped": _Cursor.pose,
     "geometry_msgs/msg/WrenchStamped": _Cursor.wrench,
 }
-"""The types that can be read, by name."""
+"""Parsers of the supported types, by name."""
 
 
 def _layout(type_name: str, data: bytes) -> Layout:
-    """Return where the parts of a message are.
+    """Return the layout of a message.
 
     Raises:
-        ValueError: If it is not a message of that type.
+        ValueError: If the bytes are not a message of that type.
     """
     if len(data) < _ORIGIN or data[0] or data[1] > 1:
         raise ValueError(f"encoding {data[:2].hex() or 'missing'}, expected plain CDR")
@@ -246,17 +245,17 @@ def _layout(type_name: str, data: bytes) -> Layout:
 
 
 LARGEST_MESSAGE = 65_536
-"""Largest single message that is read [bytes]: a hand with a thousand joints needs less."""
+"""Maximum size of a message [B]; a hand with a thousand joints needs less."""
 
 _NONE = np.empty(0)
 
 
 @dataclass(frozen=True)
 class Content:
-    """What is in one message.
+    """Content of one message.
 
     Attributes:
-        stamp: Header stamp [ns].
+        stamp: Header timestamp [ns].
         texts: All strings in order; the first is the header's frame_id.
         doubles: Each group of doubles by name, shape (count,).
     """
@@ -267,14 +266,14 @@ class Content:
 
 
 class ContentReader:
-    """Reads messages of one type, whatever their layout.
+    """Reads messages of one type and any layout.
 
-    The layout of a message is found field by field. The next one usually has the same: then only
+    The first message is parsed field by field. The next one usually has the same layout; then only
     its numbers are read.
     """
 
     def __init__(self, type_name: str) -> None:
-        """Read messages of one of `PARSERS`."""
+        """Create a reader for one of the types in `PARSERS`."""
         self._type = type_name
         self._layout = Layout(little=True)
         self._fixed: list[tuple[slice, bytes]] = []
@@ -284,7 +283,7 @@ class ContentReader:
         """Read a message.
 
         Raises:
-            MessageError: If the bytes are too many or not a message of that type.
+            MessageError: If there are too many bytes, or they are not a message of that type.
         """
         if not self._has_same_layout(data):
             self._find_layout(data)
@@ -297,7 +296,7 @@ class ContentReader:
         return Content(header_stamp(data), layout.texts, doubles)
 
     def _has_same_layout(self, data: bytes) -> bool:
-        """Return whether a message has the strings and lengths of the one before."""
+        """Return whether a message has the strings and lengths of the previous one."""
         return len(data) == self._size and all(data[at] == same for at, same in self._fixed)
 
     def _find_layout(self, data: bytes) -> None:
@@ -312,14 +311,10 @@ class ContentReader:
 
 
 def tables(type_name: str, messages: Sequence[bytes]) -> Iterator[Table]:
-    """Group the messages of a topic by layout.
-
-    Args:
-        type_name: One of `PARSERS`.
-        messages: Serialized messages.
+    """Group the serialized messages of a topic by layout.
 
     Raises:
-        BagError: If a message is not what its type says.
+        BagError: If a message is not of the given type.
     """
     sizes = np.fromiter(map(len, messages), dtype=np.int64, count=len(messages))
     for size in np.unique(sizes):

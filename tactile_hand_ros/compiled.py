@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Compile numeric functions with Numba where it is installed; the same source runs without it.
+"""Compile numeric functions with Numba if it is installed; the same source runs without it.
 
-What is marked with `compiled` is plain Python on arrays and scalars. Numba compiles a function when
-it is first called and keeps the machine code. Each state of a file and of the files that it imports
-has a directory of its own: Numba does not notice a change in another file that is called.
+Functions marked with `compiled` are plain Python on arrays and scalars. Numba compiles a function
+at its first call and caches the machine code. Numba does not detect changes in other files that the
+function uses. So each state of a file and of its imports has its own cache directory.
 `python -m tactile_hand_ros.closed_loop.warm_up` compiles everything ahead of a run.
 """
 
@@ -32,9 +32,9 @@ from tactile_hand_ros.config.model import Config, flatten
 F = TypeVar("F", bound=Callable[..., Any])
 
 Rows = NDArray[np.void]
-"""Rows of named numbers, shape (n,): one argument where compiled code reads or writes a dozen."""
+"""Rows of named numbers, shape (n,): one argument instead of a dozen for compiled code."""
 Row = Any
-"""One of them: a view, so that writing to it changes the array."""
+"""One row, as a view: writing to it changes the array."""
 
 DISABLE = "TACTILE_HAND_INTERPRETED"
 """Environment variable that switches Numba off."""
@@ -45,13 +45,13 @@ _interpreted = False
 
 
 def row_of(config: Config) -> Rows:
-    """Return the real numbers of a configuration under their dotted names, shape (1,)."""
+    """Return the floats of a configuration by dotted name, shape (1,)."""
     numbers = {name: x for name, x in flatten(config).items() if isinstance(x, float)}
     return np.array([tuple(numbers.values())], dtype=[(name, np.float64) for name in numbers])
 
 
 def compiled(function: F) -> F:
-    """Compile a function where that is possible and wanted."""
+    """Compile a function if Numba is available and not switched off."""
     if _interpreted or not _has_numba():
         return function
     made: F = _compiler()(function)
@@ -59,23 +59,20 @@ def compiled(function: F) -> F:
 
 
 def run_interpreted() -> None:
-    """Run as plain Python what is imported from now on: for a process that rarely calls it."""
+    """Do not compile modules imported from now on, for a process that rarely calls them."""
     global _interpreted
     _interpreted = True
 
 
 def ensure_compiled(pause: Callable[[float], None] = time.sleep) -> None:
-    """Let another process compile what is not compiled yet: this one need not load Numba.
+    """Compile all functions in another process, so that this one need not load Numba.
 
-    It takes a minute or two, and says so on the standard error.
-
-    Args:
-        pause: Called to wait [s]; it may raise to give up.
+    It takes a minute or two and prints a note to stderr. `pause` waits [s] and may raise to abort.
     """
     if is_complete():
         return
     print("compiling the numeric code, once; this takes a minute or two", file=sys.stderr)
-    # In a session of its own: a Ctrl-C is for the waiting process. Should it fail, each process
+    # In its own session, because Ctrl-C is for the waiting process. If it fails, each process
     # compiles for itself.
     command = [sys.executable, "-m", "tactile_hand_ros.closed_loop.warm_up"]
     process = subprocess.Popen(command, stdin=subprocess.DEVNULL, start_new_session=True)
@@ -88,13 +85,13 @@ def ensure_compiled(pause: Callable[[float], None] = time.sleep) -> None:
 
 
 def is_complete() -> bool:
-    """Return whether everything has been compiled for these sources, or nothing is to be."""
+    """Return whether these sources are compiled, or need not be."""
     return not _has_numba() or _mark().is_file()
 
 
 def mark_complete() -> None:
-    """Note that everything has been compiled for these sources."""
-    with contextlib.suppress(OSError):  # no directory to keep it in
+    """Mark these sources as compiled."""
+    with contextlib.suppress(OSError):  # no writable cache directory
         if _has_numba():
             _mark().parent.mkdir(parents=True, exist_ok=True)
             _mark().touch()
@@ -111,7 +108,7 @@ def _mark() -> Path:
 
 
 def _kept_in(name: str, sources: Iterable[Path]) -> Path:
-    """Return where something is kept that belongs to the present state of some files."""
+    """Return a cache path for the current state of some files."""
     digest = hashlib.sha256(importlib.metadata.version("numba").encode())
     for path in sorted(sources):
         digest.update(path.read_bytes())
@@ -126,7 +123,7 @@ def _kept_in(name: str, sources: Iterable[Path]) -> Path:
 
 @functools.cache
 def _sources(module: str) -> frozenset[Path]:
-    """Return the file of a numeric module of this package, and those of all that it imports."""
+    """Return the files of a numeric module of this package and of all its imports."""
     _, *parts = module.split(".")
     path = _PACKAGE.joinpath(*parts).with_suffix(".py")
     if not parts or parts[0] not in _NUMERIC or not path.is_file():
@@ -137,12 +134,12 @@ def _sources(module: str) -> frozenset[Path]:
 
 @functools.cache
 def _compiler() -> Callable[[Any], Any]:
-    """Return what compiles a function; loading Numba takes half a second."""
+    """Return the compile function; loading Numba takes half a second."""
     import numba
     from numba.core.caching import FunctionCache
 
     class Cache(FunctionCache):
-        """Numba's cache, where a damaged file means to compile again, and a full disk nothing."""
+        """Numba's cache, but a damaged file causes recompilation and a full disk is ignored."""
 
         def load_overload(self, sig: Any, target_context: Any) -> Any:
             try:
@@ -156,15 +153,15 @@ def _compiler() -> Callable[[Any], Any]:
             with contextlib.suppress(OSError):
                 super().save_overload(sig, data)
 
-    # It would advise copies of arrays, wherever a product of a column is compiled.
+    # Numba warns about every product with a column, advising a copy.
     warnings.simplefilter("ignore", numba.NumbaPerformanceWarning)
-    # numpy's rules for division by zero; no reordering of sums, so that runs repeat to the bit.
+    # NumPy's rules for division by zero; no reordering of sums, so that runs are bit-identical.
     jit = numba.njit(error_model="numpy", fastmath=False)
 
     def compile_one(function: Any) -> Any:
         made, chosen = jit(function), numba.config.CACHE_DIR
         numba.config.CACHE_DIR = str(_kept_in("numba", _sources(function.__module__)))
-        with contextlib.suppress(RuntimeError):  # no directory to keep the result in
+        with contextlib.suppress(RuntimeError):  # no writable directory for the result
             made._cache = Cache(function)
         numba.config.CACHE_DIR = chosen
         return made

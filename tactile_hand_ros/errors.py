@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The failures this package can name: one class per kind, all below one base."""
+"""Errors of this package: one class per kind, with a common base class."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ from collections.abc import Iterable, Sequence
 
 
 def counted(number: int, noun: str) -> str:
-    """Return a number with its noun, in the plural unless there is one."""
+    """Return a number with its noun, in the plural unless the number is 1."""
     return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
 
 
 def nearest(wrong: str, valid: Sequence[str]) -> str:
-    """End a sentence about a wrong name: ", did you mean 'this'?", or a full stop."""
+    """Return the end of a sentence on a wrong name: ", did you mean 'this'?", or a full stop."""
     near = difflib.get_close_matches(wrong, valid, n=1)
     return f", did you mean '{near[0]}'?" if near else "."
 
@@ -25,33 +25,33 @@ def shortened(text: object, limit: int = 300) -> str:
 
 
 class TactileHandError(Exception):
-    """Base of every error that this package raises on purpose.
+    """Base class of this package's errors.
 
-    Its text is one sentence for the user: what was got, what was expected, what to do.
+    The text is one sentence for the user: the value, the expectation and the remedy.
     """
 
 
 class ConfigurationError(TactileHandError):
-    """A configuration file or value that cannot be used.
+    """An invalid configuration file or value.
 
     Attributes:
-        source: File or interface the value came from, empty when unknown.
+        source: File or interface of the value, empty if unknown.
         place: Dotted key inside the source, empty for the source itself.
     """
 
     def __init__(self, message: str, *, source: str = "", place: str = "") -> None:
-        """Keep the place next to the sentence."""
+        """Store the text, source and place."""
         super().__init__(message)
         self.source = source
         self.place = place
 
 
 class MessageError(TactileHandError):
-    """A message from outside that cannot be used: wrong names, lengths, frame or NaN."""
+    """An invalid received message: wrong names, lengths, frame or NaN."""
 
 
 class UnsafeOutputError(TactileHandError):
-    """A result that must not leave a node: not finite, or outside its configured limits."""
+    """A result that must not be published: not finite, or outside its configured limits."""
 
 
 class HandModelError(TactileHandError):
@@ -59,7 +59,7 @@ class HandModelError(TactileHandError):
 
 
 class DivergedError(TactileHandError):
-    """A simulation whose numbers mean nothing any more."""
+    """A simulation that has diverged, so its numbers are meaningless."""
 
 
 class ObjectModelError(TactileHandError):
@@ -71,11 +71,11 @@ class GraspError(TactileHandError):
 
 
 class CollinearContactsError(GraspError):
-    """Contacts on one line: the rotation about that line is lost (assumption A7)."""
+    """Collinear contacts: the rotation about their line is undetermined (assumption A7)."""
 
     @classmethod
     def of(cls, points: Iterable[Iterable[float]]) -> CollinearContactsError:
-        """Build the error for these contact points."""
+        """Return the error for these contact points."""
         listed = ", ".join("(" + ", ".join(f"{x:.4f}" for x in p) + ")" for p in points)
         return cls(
             f"the contacts {listed} lie on one line (A7); a grasp needs three contacts that are "
@@ -88,4 +88,4 @@ class PoseError(TactileHandError):
 
 
 class BagError(TactileHandError):
-    """A bag that cannot be written or read, with the reason and what to do."""
+    """A bag that cannot be written or read, with the reason and the remedy."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Files and links that take their place in one step: a reader sees the old one or the new one."""
+"""Atomic replacement of files and links: a reader sees either the old or the new one."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from pathlib import Path
 
 
 def replace_text(path: Path, text: str) -> None:
-    """Write a text file, or leave what was there.
+    """Replace a text file atomically.
 
     Raises:
         OSError: If it cannot be written.
@@ -19,7 +19,7 @@ def replace_text(path: Path, text: str) -> None:
 
 
 def replace_bytes(path: Path, data: bytes) -> None:
-    """Write a file, or leave what was there.
+    """Replace a file atomically.
 
     Raises:
         OSError: If it cannot be written.
@@ -27,11 +27,11 @@ def replace_bytes(path: Path, data: bytes) -> None:
     with draft_of(path) as draft, draft.open("xb") as file:
         file.write(data)
         file.flush()
-        os.fsync(file.fileno())  # or a crash of the machine could leave an empty file
+        os.fsync(file.fileno())  # otherwise a system crash could leave an empty file
 
 
 def replace_link(link: Path, target: str) -> None:
-    """Point a symbolic link to a target, or leave it as it was.
+    """Replace a symbolic link atomically.
 
     Raises:
         OSError: If it cannot be created.
@@ -42,10 +42,10 @@ def replace_link(link: Path, target: str) -> None:
 
 @contextlib.contextmanager
 def draft_of(path: Path) -> Iterator[Path]:
-    """Provide a neighbour's name; what is created there replaces `path`, or is removed on errors.
+    """Provide a temporary path; a file created there replaces `path`, or is removed on errors.
 
-    The name cannot be guessed and must not exist when it is created, so nothing that another user
-    has put into the folder is followed or overwritten.
+    Its name cannot be guessed and must not exist yet, so no file or link that another user has
+    placed in the folder is followed or overwritten.
     """
     draft = path.with_name(f".{path.name}.{os.urandom(8).hex()}")
     try:

@@ -1,21 +1,21 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Names of topics, services, frames and nodes, as plain strings: written here and nowhere else.
+"""Names of topics, services, frames and nodes, all defined here.
 
 All names except `DIAGNOSTICS` and `OF_ALL_NODES` are relative, so a namespace gives a second hand.
-That includes the clock: without a namespace it is the `/clock` that `use_sim_time` follows, but two
-hands in one domain have two times, and two senders on `/clock` would make time jump back and forth.
-Remap `clock:=/clock` on the one plant whose time counts.
+That includes the clock. Without a namespace it is the `/clock` that `use_sim_time` follows. But two
+hands in one domain have two times, and with two senders on `/clock` time would jump back and forth.
+Remap `clock:=/clock` on one of the plants.
 
-Three topics describe contacts as sensor_msgs/JointState with the names of the fingers in `name` and
-the tick as stamp, since ROS has no message for numbers by finger:
+ROS has no message for numbers by finger. So three topics describe contacts as
+sensor_msgs/JointState with the finger names in `name` and the tick as timestamp:
 
-- `ground_truth/slip`, from the plant to tactile_sensor and recorder: `position` is the distance
-  that the contact has slid since the start [m], `velocity` the sliding speed [m/s].
+- `ground_truth/slip`, from plant to tactile_sensor and recorder: `position` is the distance that
+  the contact has slid since the start [m], `velocity` the sliding speed [m/s].
 - `grip_state`, from slip_regulator to recorder and viewer: `position` is the learned friction [1],
   `velocity` the evidence for slip [0 to 1], `effort` the `ContactState`: 0 unknown, 1 stick,
   2 slip.
-- `grip_margin`, from slip_regulator to force_optimizer: `position` is the friction that may be
-  used [1], `effort` the load in any direction that may come on top [N].
+- `grip_margin`, from slip_regulator to force_optimizer: `position` is the usable friction [1],
+  `effort` the reserve for additional load in any direction [N].
 """
 
 from __future__ import annotations
@@ -35,8 +35,8 @@ USER_GRASP_FORCE = "user_grasp_force"
 ACCEPTED_POSE = "accepted/desired_pose"
 ACCEPTED_FORCE = "accepted/user_grasp_force"
 USER_COMMANDS = (DESIRED_POSE, USER_GRASP_FORCE)
-"""Only the node that acts on a command subscribes to it, so that a command that one subscriber has
-received has reached the right one. Everything else uses what that node accepted or rejected."""
+"""Only the node that acts on a command subscribes to it, so a command with a matched subscriber
+reaches the right node. All other nodes use the topics of accepted and rejected commands."""
 HAPTIC_FEEDBACK = "haptic_feedback"
 OBJECT_POSE = "ground_truth/object_pose"
 TRUE_CONTACTS = "ground_truth/contacts"
@@ -45,7 +45,7 @@ ROBOT_DESCRIPTION = "robot_description"
 DIAGNOSTICS = "/diagnostics"
 CLOCK = "clock"
 OF_ALL_NODES = ("/parameter_events", "/rosout")
-"""Every node publishes there, also while it starts."""
+"""Topics on which every node publishes, even during startup."""
 OF_ALL = (DIAGNOSTICS, *OF_ALL_NODES)
 """Topics that every node has."""
 
@@ -73,7 +73,7 @@ def wrench(finger: str) -> str:
 
 
 def optimal_force(finger: str) -> str:
-    """Return the topic of the optimal normalized force of a finger."""
+    """Return the topic of a finger's optimal normalized force."""
     return f"optimal_force/{finger}"
 
 
@@ -93,12 +93,12 @@ def accepted_parameters(node: str) -> str:
 
 
 def accepted_requests(node: str) -> str:
-    """Return the topic of the service calls that changed what a node does."""
+    """Return the topic of the service calls that changed a node."""
     return f"accepted/{node}/requests"
 
 
 def rejected(node: str) -> str:
-    """Return the topic on which a node reports the user commands that it has rejected."""
+    """Return the topic of the user commands that a node rejected."""
     return f"rejected/{node}"
 
 

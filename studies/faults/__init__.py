@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The fault campaign: what becomes of the object when a part of the running hand fails."""
+"""The fault campaign: what happens to the object when a part of the running hand fails."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The campaign as studies, one for each way to run: what an injection does, kept as a row."""
+"""The campaign as studies, one for each way to run, with one row per injection."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ from tactile_hand_ros.sweep.engine import LOST, REACHED, Point, Study, workers
 from tactile_hand_ros.sweep.space import Choice
 from tactile_hand_ros.sweep.table import Tally, keep
 
-_RECOVERY = 60.0  # s, longest wait for a hand that drives again; a busy machine starts nodes slowly
-_AFTERWARDS = 0.3  # s that are watched after it does
-_STARTS = 3  # of a run that does not begin, after which it is not judged
-_SLACK = 20.0  # s of real time for a second of simulated time
+_RECOVERY = 60.0  # s, maximum wait until the hand drives again; a busy machine starts nodes slowly
+_AFTERWARDS = 0.3  # s of observation after that
+_STARTS = 3  # attempts to start a run
+_SLACK = 20.0  # s, maximum wall time to reach the fault
 
 
 def run_campaign(
@@ -33,16 +33,16 @@ def run_campaign(
     jobs: int = -1,
     watch: Callable[[Tally], None] = lambda _: None,
 ) -> None:
-    """Make the runs of one way that are not done yet, and write the table of all.
+    """Make the missing runs of one way, and write the table of all runs.
 
     Args:
         runs: The runs.
-        folder: Of the results; holds those of an earlier, unfinished call.
-        jobs: Number of processes for runs in-process; running hands come one after the other.
+        folder: Folder of the results, including those of an earlier, unfinished call.
+        jobs: Number of processes for in-process runs; running hands are tested one at a time.
         watch: Called after each run.
 
     Raises:
-        StudyError: If the folder holds another campaign or cannot be written.
+        StudyError: If the folder contains another campaign or cannot be written.
     """
     is_live = runs[0].way != "in-process"
     with Hands() as hands, workers(1 if is_live else jobs):
@@ -64,7 +64,7 @@ class Hands:
     """The running hand of the last injection, kept for the next one in the same situation."""
 
     def __init__(self) -> None:
-        """Begin without one."""
+        """Start without a hand."""
         self._stack, self._key = ExitStack(), ("", "")
 
     def __enter__(self) -> Hands:
@@ -76,7 +76,7 @@ class Hands:
         self._stack.close()
 
     def run_one(self, point: Point) -> dict[str, Any]:
-        """Make a run on nodes, which are started again if it breaks them."""
+        """Make a run on nodes; restart them for the next run if this one fails."""
         run = point.values["injection"]
         with self._hand(run) as hand:
             return _row(inject(hand, run))
@@ -98,13 +98,13 @@ class Hands:
 
 
 def inject(hand: RunningHand, run: Injection) -> Outcome:
-    """Inject one fault and return what became of the object.
+    """Inject one fault and return the outcome.
 
-    Before anything fails it is judged whether the hand has begun to hold; if not, nothing is
-    injected, and the run starts again. So the choice cannot depend on what the fault does.
+    Before the injection, check that the hand holds the object; if not, start the run again. So the
+    selection of runs cannot depend on the effect of the fault.
 
     Raises:
-        TimeoutError: If the hand does not begin.
+        TimeoutError: If the hand does not start to hold the object.
     """
     moment = situations.SITUATIONS[run.situation].time + run.delay
     for _ in range(_STARTS):
@@ -114,7 +114,7 @@ def inject(hand: RunningHand, run: Injection) -> Outcome:
         if not reason:
             break
     else:
-        raise TimeoutError(f"not begun in {_STARTS} starts: {reason}")
+        raise TimeoutError(f"no grasp after {_STARTS} starts: {reason}")
     begin = time.monotonic()
     with injected(hand, run):
         _pass_time(hand, situations.FAULT_TIME)
@@ -132,4 +132,4 @@ def inject(hand: RunningHand, run: Injection) -> Outcome:
 
 def _pass_time(hand: RunningHand, seconds: float) -> None:
     until = time.monotonic() + seconds
-    hand.wait(lambda: time.monotonic() >= until, "time that passes")
+    hand.wait(lambda: time.monotonic() >= until, "the end of a pause")

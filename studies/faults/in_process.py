@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The same faults in-process: time goes on at every tick, whatever has been answered.
+"""The same faults in-process: time advances at every tick, with or without an answer.
 
-As in real time, but without a clock, so that results are the same on every computer. The blocks
-are those of the closed loop; only the wires between them are the study's, and a guard stands in
-front of the joints.
+This is real time without a clock, so results are the same on every computer. The blocks are those
+of the closed loop. The study adds faulty wires between them and a guard for the joints.
 """
 
 from __future__ import annotations
@@ -36,10 +35,10 @@ from tactile_hand_ros.scenario.scenario import Scenario
 Array = NDArray[np.float64]
 
 DELAY = 0.1  # s
-_KEPT = 10  # of so many messages one passes a slow wire
+_KEPT = 10  # a slow wire passes one message in ten
 _PULSE = 0.05  # s
-_AFTER = 1.0  # s that are watched after a fault
-_FACTOR, _AWAY, _TURN, _JUMP = 3.0, 0.02, 0.2, 0.05  # of wrong values: forces, m, rad, m
+_AFTER = 1.0  # s of observation after a fault
+_FACTOR, _AWAY, _TURN, _JUMP = 3.0, 0.02, 0.2, 0.05  # wrong values: force factor, m, rad, m
 
 _WIRES = {
     space.JOINTS: ("joints",),
@@ -52,14 +51,14 @@ _WIRES = {
 
 
 _NOTHING = Command(np.full(1, np.nan), Mode.HOLD, None, do_not_send=True)
-"""What a controller without inputs sends: nothing."""
+"""Answer of a controller without inputs."""
 
 
 class Wires:
-    """Carries messages from block to block, some of them badly."""
+    """Wires between the blocks, some of which fail."""
 
     def __init__(self, run: Injection, tick: float) -> None:
-        """Take the fault and the length of a tick [s]; all is well until `failing` is set."""
+        """Create wires for a fault and a tick [s]; they work until `failing` is set."""
         self.failing = False
         self._names = _WIRES.get(run.component, ())
         self._fault, self._chance, self._tick = run.fault, random.Random(run.seed), tick
@@ -68,7 +67,7 @@ class Wires:
         self._is_on, self._left = True, 0.0
 
     def begin_tick(self) -> None:
-        """Let a tick pass for what depends on time."""
+        """Advance the time-dependent faults by a tick."""
         self._count += 1
         self._left -= self._tick
         if self._left <= 0.0:
@@ -76,7 +75,7 @@ class Wires:
             self._left = self._chance.expovariate(1.0 / _PULSE)
 
     def carry(self, name: str, value: Any, wrong: Callable[[Any], Any]) -> Any:
-        """Return what arrives of a value; None where nothing does."""
+        """Return the received value, or None if it is lost."""
         if not (self.failing and name.startswith(self._names)) or not self._names:
             return value
         if self._fault == "stuck":
@@ -87,17 +86,17 @@ class Wires:
             return None if self._count % _KEPT else value
         if self._fault == "intermittent":
             return value if self._is_on else None
-        # Off; garbage, which every reader refuses; and stamps of another time, which match nothing.
+        # Off; garbage, which every reader rejects; wrong timestamps, which match no tick.
         return value if self._fault in ("delayed", space.NONE) else None
 
     @property
     def delay(self) -> int:
-        """By how many ticks an answer is late."""
+        """Delay of an answer in ticks."""
         return round(DELAY / self._tick) if self.failing and self._fault == "delayed" else 0
 
 
 class _Block:
-    """Stands for a block of the loop, behind wires; all else is that of the block."""
+    """A block of the loop behind wires; other attributes are those of the block."""
 
     def __init__(self, block: Any, wires: Wires) -> None:
         self.block, self._carry = block, wires.carry
@@ -132,7 +131,7 @@ class _Optimizer(_Block):
 
 
 class _Controller(_Block):
-    """The controller, which holds where inputs are missing for long.
+    """The controller, which holds if inputs are missing for a timeout.
 
     Attributes:
         drives: Whether it drove the object at the last tick.
@@ -175,13 +174,13 @@ class _Controller(_Block):
 
 
 class FaultyChain(SensingChain):
-    """The blocks of a loop with wires between them that fail.
+    """The blocks of a loop with failing wires between them.
 
-    A block that misses an input gives no answer, as its node would.
+    Like its node, a block gives no answer if an input is missing.
     """
 
     def __init__(self, blocks: SensingChain, wires: Wires, scenario: Scenario) -> None:
-        """Put the blocks of a loop behind wires."""
+        """Wrap the blocks of a loop."""
         controller: Any = _Controller(blocks.controller, wires, scenario)
         regulator: Any = _Regulator(blocks.regulator, wires)
         optimizer: Any = _Optimizer(blocks.optimizer, wires)
@@ -197,7 +196,7 @@ class FaultyChain(SensingChain):
         contacts: Contacts,
         forces: Array,
     ) -> Answer:
-        """Return the answer to a tick; to be withheld where there is none."""
+        """Return the answer to a tick; without one, it is marked as not to be sent."""
         joints = self._carry("joints", (theta, rates, applied), _turned)
         moved: Any = joints or (None, None, None)
         given: Any = [self._carry(f"force {i}", f, _wrong_force) for i, f in enumerate(forces)]
@@ -207,7 +206,7 @@ class FaultyChain(SensingChain):
 
 
 class FaultyLoop(GuardedLoop):
-    """A closed loop with wires that fail and a guard in front of the joints."""
+    """A closed loop with failing wires and a guard for the joints."""
 
     def __init__(self, chosen: Scenario, run: Injection) -> None:
         """Build the loop of a scenario for a run."""
@@ -227,7 +226,7 @@ class FaultyLoop(GuardedLoop):
         return bool(self.chain.plugged.drives)
 
     def tick(self, *, answers: bool = True, delay: int = 0) -> None:
-        """Move one tick ahead, as the fault of the run allows."""
+        """Advance by one tick under the fault of the run."""
         del answers, delay
         loop = self.loop
         self.wires.begin_tick()
@@ -245,7 +244,7 @@ class FaultyLoop(GuardedLoop):
         self.act()
 
     def _is_stopped(self) -> bool:
-        """Return whether all blocks stand still, because of the computer or because one is dead."""
+        """Return whether all blocks are stopped by a fault of the computer."""
         if not self.wires.failing or self._run.component != space.COMPUTER:
             self._late = 0
             return False
@@ -258,7 +257,7 @@ class FaultyLoop(GuardedLoop):
         return True
 
     def _command(self) -> None:
-        """Let the user send what the fault of the run makes of it; refusals are as intended."""
+        """Send the user commands of the fault; rejections are expected."""
         cell, loop = self._run, self.loop
         if not self.wires.failing or cell.component != space.USER or cell.fault == "garbage":
             return
@@ -271,7 +270,7 @@ class FaultyLoop(GuardedLoop):
             loop.controller.command(Target(here, np.eye(3)))
 
     def restart(self) -> None:
-        """Start over with a block that was killed."""
+        """Restart a killed block."""
         cell, loop = self._run, self.loop
         if cell.fault != "off":
             return
@@ -301,7 +300,7 @@ def _wrong_force(force: Array) -> Array:
 
 
 def run_in_process(run: Injection) -> Outcome:
-    """Inject one fault and return what became of the object."""
+    """Inject one fault and return the outcome."""
     faulty = FaultyLoop(scenario(run.situation, run.way), run)
     moment = SITUATIONS[run.situation].time + run.delay
     loop, seen = faulty.loop, _Seen(faulty)
@@ -330,7 +329,7 @@ def run_in_process(run: Injection) -> Outcome:
 
 
 class _Seen:
-    """What the object suffers from the fault on."""
+    """Effects on the object from the fault onward."""
 
     def __init__(self, faulty: FaultyLoop) -> None:
         self._faulty = faulty
@@ -341,12 +340,12 @@ class _Seen:
 
     @property
     def recovered(self) -> float | None:
-        """Time from the end of the fault until the hand drives, s; None if it does not."""
+        """Time from the end of the fault until the hand drives [s]; None if it does not."""
         is_driving = self._faulty.drives and not self._faulty.guard.holding
         return max(0.0, self.held_until - FAULT_TIME) if is_driving else None
 
     def run(self, seconds: float) -> None:
-        """Run on and look at every tick."""
+        """Continue and observe every tick."""
         faulty = self._faulty
         for _ in range(round(seconds / faulty.tick_time)):
             faulty.tick()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How each fault is brought about from outside: signals, limits, load, messages, the fault node."""
+"""Injection of each fault from outside: signals, limits, load and messages."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ _STRAIGHT = np.array([0.0, 0.0, 0.0, 1.0])
 
 @contextmanager
 def injected(hand: RunningHand, run: Injection) -> Iterator[None]:
-    """Let a fault last as long as the block."""
+    """Inject a fault for the duration of the block."""
     with ExitStack() as stack:
         if run.fault == space.NONE:
             pass
@@ -81,7 +81,7 @@ def _stopped(pids: list[int]) -> Iterator[None]:
 
 @contextmanager
 def _no_more_space(pid: int) -> Iterator[None]:
-    """Let every write beyond the present end of a file fail, as on a full disk."""
+    """Make every write beyond the current end of a file fail, as on a full disk."""
     before = resource.prlimit(pid, resource.RLIMIT_FSIZE, (1, resource.RLIM_INFINITY))
     try:
         yield
@@ -99,7 +99,7 @@ def _computer(hand: RunningHand, fault: str) -> Iterator[None]:
         with _stopped(others):
             yield
     else:
-        raise ValueError(f"there is no fault '{fault}' of a computer")
+        raise ValueError(f"unknown fault '{fault}' of the computer")
 
 
 @contextmanager
@@ -115,7 +115,7 @@ def _busy(loops: int) -> Iterator[None]:
 
 @contextmanager
 def _user(hand: RunningHand, run: Injection) -> Iterator[None]:
-    """Let a user, or what stands in for one, send nonsense from a thread."""
+    """Send invalid user commands from a thread."""
     over = threading.Event()
     send = _sender(hand, run)
 
@@ -133,7 +133,7 @@ def _user(hand: RunningHand, run: Injection) -> Iterator[None]:
 
 
 def _sender(hand: RunningHand, run: Injection) -> Callable[[], None]:
-    """Return what sends one burst of a user whose commands fail in some way."""
+    """Return a function that sends one burst of faulty user commands."""
     codec, chance, fault = PoseCodec(), random.Random(run.seed), run.fault
     _, seen = hand.positions(hand.since(time.monotonic() - 1.0))
     here = seen[-1]

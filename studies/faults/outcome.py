@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What became of the object and the hand after one injection."""
+"""Outcome of one injection for the object and the hand."""
 
 from __future__ import annotations
 
@@ -18,27 +18,27 @@ from tactile_hand_ros import names
 
 Array = NDArray[Any]
 
-_MINIMUM = 0.1  # N; a hand that presses less has not begun to hold
-_BEFORE = 0.1  # s before a fault in which the hand must drive and hold
+_MINIMUM = 0.1  # N; below this sum of normal forces, the hand does not hold yet
+_BEFORE = 0.1  # s before a fault during which the hand must hold the object
 LET_GO = 0.1
-"""Distance from where it may be [m]: an object there is not in the hand, whatever touches it."""
+"""Distance from its permitted positions at which the object counts as dropped [m]."""
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """What one injection did.
+    """Outcome of one injection.
 
     Attributes:
-        dropped: Whether a finger does not touch at the end, or the object is 0.1 m from where it
-            may be.
-        moved: Largest distance of the object from where it may be until the hand drives for good,
-            m; see `Expected`. NaN where a user moves it.
-        safe: Time from the fault to the first hold or ERROR, s; None where none was declared.
-        peak: Largest sum of normal forces, N.
-        limit: The regulator's limit of it, N.
-        recovered: Time from the end of the fault until the hand drives for good, s; None if it
-            does not until the end.
-        declared: What was declared first.
+        dropped: Whether a finger does not touch at the end, or the object is 0.1 m away from its
+            permitted positions.
+        moved: Largest distance of the object from its permitted positions until the hand has
+            recovered [m]; see `Expected`. NaN if a user moves it.
+        safe: Time from the fault to the first hold or ERROR [s]; None without one.
+        peak: Largest sum of normal forces [N].
+        limit: The regulator's limit of it [N].
+        recovered: Time from the end of the fault until the hand drives for good [s]; None if it
+            does not recover.
+        declared: The first hold or ERROR.
     """
 
     dropped: bool
@@ -51,9 +51,9 @@ class Outcome:
 
 
 def why_not_begun(hand: RunningHand) -> str:
-    """Return why the hand has not begun to hold its object, before anything fails; empty if it has.
+    """Return why the hand does not hold its object before a fault; empty if it does.
 
-    It has begun when all fingers touch, press, and were not held by the guard just now.
+    It holds if all fingers touch and press, and the guard has not held the joints just before.
     """
     since = time.monotonic() - _BEFORE
     before = hand.since(since)
@@ -66,14 +66,9 @@ def why_not_begun(hand: RunningHand) -> str:
 
 
 def judge(hand: RunningHand, run: Injection, moment: float, begin: float, end: float) -> Outcome:
-    """Return what became of a run.
+    """Return the outcome of a run with a fault at a simulated time `moment` [s].
 
-    Args:
-        hand: The hand with all events of the run.
-        run: What was injected.
-        moment: Simulated time of the fault, s.
-        begin: When the fault began, by the monotonic clock, s.
-        end: When it ended, s.
+    `begin` and `end` are the monotonic times of the start and the end of the fault [s].
     """
     after = hand.since(begin)
     recovered = recovery(hand, after, end)
@@ -92,20 +87,17 @@ def judge(hand: RunningHand, run: Injection, moment: float, begin: float, end: f
 
 
 def distance(run: Injection, seen: Array, moment: float) -> float:
-    """Return how far an object was from where it may be, m; NaN where a user moves it.
+    """Return the distance of an object from its permitted positions [m]; NaN if a user moves it.
 
-    Args:
-        run: What failed in which situation.
-        seen: Where it was, shape (n, 3), m.
-        moment: Simulated time of the fault, s.
+    Its observed positions have the shape (n, 3), m; `moment` is the simulated time of the fault.
     """
     if run.component == space.USER and run.fault in ("stuck", "delayed", "intermittent"):
-        return math.nan  # poses in reach are orders, wherever they lead
+        return math.nan  # motion toward a reachable command is no displacement
     return expected(run.situation, run.way).distance(seen, moment)
 
 
 def _first_declared(hand: RunningHand, events: list[Received]) -> tuple[float | None, str]:
-    """Return when the first hold or ERROR was declared, and by what."""
+    """Return the time and the source of the first hold or ERROR."""
     holds = [(e.time, names.JOINT_HOLD) for e in _holds(hand, events)]
     found = sorted([*holds, *hand.errors(events)])
     return found[0] if found else (None, "")
@@ -116,9 +108,9 @@ def _holds(hand: RunningHand, events: list[Received]) -> list[Received]:
 
 
 def recovery(hand: RunningHand, events: list[Received], end: float) -> float | None:
-    """Return how long after the end of the fault the hand drives for good, s; None if it does not.
+    """Return the time from the end of the fault until the hand drives for good [s], or None.
 
-    It drives while the joints are not held and the controller publishes its estimate of the object.
+    It drives if the joints are not held and the controller publishes its estimate of the object.
     """
     holds = [event for event in events if event.topic == names.JOINT_HOLD]
     if holds and hand.read(holds[-1]).data:

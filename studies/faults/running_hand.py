@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The nodes of a hand as processes, steered and watched from outside."""
+"""The nodes of a hand as processes, controlled and observed from outside."""
 
 from __future__ import annotations
 
@@ -36,15 +36,15 @@ from tactile_hand_ros.scenario.scenario import NODES, Scenario
 Array = NDArray[np.float64]
 
 PATIENCE = 180.0
-"""Longest wait for the nodes of a session [s]."""
+"""Maximum wait for the nodes of a session [s]."""
 
 _POLL = 0.01  # s
-_ANSWER = 20.0  # s, longest wait for a service
-_AGAIN = 5.0  # s without an answer after which a service is asked again
+_ANSWER = 20.0  # s, maximum wait for a service
+_AGAIN = 5.0  # s without an answer after which a service is called again
 
 
 class Received(NamedTuple):
-    """Something that was received: when, by the monotonic clock [s], where, and its bytes."""
+    """A received message: monotonic time [s], topic and bytes."""
 
     time: float
     topic: str
@@ -52,21 +52,15 @@ class Received(NamedTuple):
 
 
 class RunningHand:
-    """The nodes of one scenario in a domain of their own; none of them outlives the block.
+    """The nodes of one scenario in their own domain; they end with the block.
 
     Attributes:
-        processes: By name of the executable.
-        events: Everything that was received since the start of the run.
+        processes: The processes by name of the executable.
+        events: All messages received since the start of the run.
     """
 
     def __init__(self, scenario: Scenario, folder: Path, *, composed: bool) -> None:
-        """Prepare; entering the block starts the processes.
-
-        Args:
-            scenario: What they run.
-            folder: For parameter files and the recording.
-            composed: Whether the nodes share one process.
-        """
+        """Prepare the nodes, in one process if `composed`; entering the block starts them."""
         self.scenario, self._folder = scenario, folder
         self.composed = composed
         self.fingers = load_hand_config(scenario.hand).finger_names
@@ -79,7 +73,7 @@ class RunningHand:
         self._looked_at = 0
 
     def __enter__(self) -> RunningHand:
-        """Start everything and wait until the hand holds its object."""
+        """Start all processes and wait until the nodes are connected."""
         try:
             domain = self._stack.enter_context(isolated_domain())
             self._start_recorder()
@@ -149,7 +143,7 @@ class RunningHand:
         self.node.create_subscription(kind, topic, keep, profile or qos.tick_qos(), raw=True)
 
     def _await_readiness(self) -> None:
-        """Wait until every node has met all that it listens to."""
+        """Wait until all subscriptions of all nodes are matched."""
 
         def met() -> bool:
             values = self._peers()
@@ -160,10 +154,10 @@ class RunningHand:
                 if key.startswith(f"{SUBSCRIPTIONS} ")
             )
 
-        self.wait(met, "nodes that have met each other")
+        self.wait(met, "matched subscriptions of all nodes")
 
     def _peers(self) -> dict[str, dict[str, str]]:
-        """Return the last values in the diagnostics of each of the five nodes."""
+        """Return the latest diagnostics values of each of the five nodes."""
         new, self._looked_at = self.events[self._looked_at :], len(self.events)
         for event in new:
             if event.topic == names.DIAGNOSTICS:
@@ -174,8 +168,8 @@ class RunningHand:
         return self._facts
 
     def forget_but(self, count: int) -> None:
-        """Keep no more than the last events, in a run without end."""
-        self._peers()  # what the diagnostics say is kept
+        """Keep only the last events, for endless runs."""
+        self._peers()  # keeps the diagnostics values
         surplus = len(self.events) - count
         if surplus > 0:
             del self.events[:surplus]
@@ -195,7 +189,7 @@ class RunningHand:
         return deserialize_message(event.data, self._types[event.topic])
 
     def wait(self, condition: Callable[[], Any], what: str, limit: float = PATIENCE) -> Any:
-        """Wait for a condition, which is looked at every few milliseconds.
+        """Wait for a condition, which is polled every few milliseconds.
 
         Raises:
             TimeoutError: If it stays false.
@@ -203,15 +197,15 @@ class RunningHand:
         deadline, pause = time.monotonic() + limit, threading.Event()
         while not (result := condition()):
             if time.monotonic() > deadline:
-                raise TimeoutError(f"waited {limit:g} s in vain for {what}")
+                raise TimeoutError(f"timed out after {limit:g} s waiting for {what}")
             pause.wait(_POLL)
         return result
 
     def _call(self, kind: Any, service: str, request: Any) -> Any:
-        """Ask a service until it answers.
+        """Call a service until it answers.
 
-        For 20 s a server that was killed counts as there. What is sent before the client has met
-        its successor goes to the dead one only.
+        A killed server is still discovered for 20 s. Until the client has matched its successor,
+        requests go to the killed server only.
         """
         if service not in self._clients:
             self._clients[service] = self.node.create_client(kind, service)
@@ -228,7 +222,7 @@ class RunningHand:
         return self.wait(answer, f"an answer of {service}", _ANSWER).result()
 
     def begin(self) -> None:
-        """Begin again at stamp 0, with the targets of the scenario."""
+        """Restart at timestamp 0, with the targets of the scenario."""
         self._call(SetBool, "plant/run", SetBool.Request(data=False))
         self._call(Trigger, "plant/reset", Trigger.Request())
         self._call(Trigger, "manipulation_controller/reset", Trigger.Request())
@@ -242,7 +236,7 @@ class RunningHand:
         self._call(SetBool, "plant/run", SetBool.Request(data=True))
 
     def wait_for_time(self, seconds: float, limit: float = PATIENCE) -> None:
-        """Wait until simulated time has come to a moment [s], but no longer than a limit [s]."""
+        """Wait until a simulated time [s], at most for a limit [s]."""
         due = round(1e9 * seconds)
 
         def is_there() -> bool:
@@ -254,14 +248,14 @@ class RunningHand:
         self.wait(is_there, f"t = {seconds:g} s", limit)
 
     def positions(self, events: list[Received]) -> tuple[Array, Array]:
-        """Return when the object was seen [s], and where, shape (n, 3), m."""
+        """Return times [s] and positions of the object, shape (n, 3), m."""
         seen = [event for event in events if event.topic == names.OBJECT_POSE]
         points = [self.read(event).pose.position for event in seen]
         where = np.array([[p.x, p.y, p.z] for p in points]).reshape(-1, 3)
         return np.array([event.time for event in seen]), where
 
     def is_touching(self, events: list[Received]) -> bool:
-        """Return whether all fingers touched in the last message about contacts."""
+        """Return whether all fingers touch in the last message of contacts."""
         for event in reversed(events):
             if event.topic == names.TRUE_CONTACTS:
                 contacts = ContactsCodec(len(self.fingers)).decode(event.data)[1]
@@ -269,7 +263,7 @@ class RunningHand:
         return False
 
     def grasp_force(self, events: list[Received]) -> float:
-        """Return the largest sum of normal forces [N], of those that belong to one tick."""
+        """Return the largest sum of normal forces of a tick [N]."""
         topics = [names.true_wrench(name) for name in self.fingers]
         sums: dict[bytes, list[float]] = {}
         for event in events:
@@ -279,7 +273,7 @@ class RunningHand:
         return max((sum(each) for each in sums.values() if len(each) == len(topics)), default=0.0)
 
     def errors(self, events: list[Received]) -> list[tuple[float, str]]:
-        """Return when nodes reported an ERROR [s], and what."""
+        """Return time [s] and text of the nodes' ERRORs."""
         found = []
         for event in events:
             if event.topic == names.DIAGNOSTICS:

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the hand does when a part of it fails, and where the object may be then.
+"""The hand's task when a part of it fails, and the permitted positions of the object.
 
-A hand that moves leaves the straight line to its goal without any fault, and one that carries a
-growing load gives way. So the distance is measured to where the object is without a fault from
-that moment on, or where an ideal hold from about that moment on keeps it, whichever is nearer.
+Even without a fault, a moving hand leaves the straight line to its goal, and a growing load
+displaces the object. So the distance is measured to the nearest of two references: the object's
+path without a fault, and its positions under an ideal hold that starts at about the fault.
 """
 
 from __future__ import annotations
@@ -27,27 +27,27 @@ Array = NDArray[np.float64]
 
 RATES = {
     "paper": {"in-process": 500.0, "lockstep": 500.0, "composed": 250.0, "processes": 250.0},
-    # What six processes can follow in real time on two cores.
+    # 250 Hz is what six processes can keep in real time on two cores.
     "human": {"in-process": 1000.0, "lockstep": 1000.0, "composed": 1000.0, "processes": 250.0},
 }
 """Ticks per second of simulated time, by hand and way."""
 
 FAULT_TIME = 1.0
-"""How long a fault lasts, by the wall clock [s]."""
+"""Duration of a fault in wall time [s]."""
 
 _ENDLESS = 3600.0
 
 
 @dataclass(frozen=True)
 class Situation:
-    """A scenario and the time at which something fails.
+    """A scenario and the time of the fault in it.
 
     Attributes:
         scenario: Name of the scenario.
-        time: Simulated time of the fault, s; up to 0.2 s later, by chance.
-        forces: Vertical forces on the object instead of its own: start [s], N, and the time in
-            which each grows [s], 0 for a step; None for those of the scenario.
-        moves: Whether the targets of the scenario count.
+        time: Simulated time of the fault [s]; a random delay of up to 0.2 s is added.
+        forces: Vertical forces on the object: start [s], force [N], and rise time [s], 0 for a
+            step; None for those of the scenario.
+        moves: Whether the targets of the scenario are used.
     """
 
     scenario: str
@@ -57,7 +57,7 @@ class Situation:
 
     @property
     def changes(self) -> dict[str, Any]:
-        """What is different in the scenario, by dotted key."""
+        """Changes to the scenario by dotted key."""
         changed: dict[str, Any] = {} if self.moves else {"targets": []}
         if self.forces is not None:
             changed["plant.disturbances"] = [_push(*force) for force in self.forces]
@@ -102,8 +102,8 @@ def scenario(situation: str, way: str) -> Scenario:
 
 
 _STEP = 0.05  # s between two ideal holds
-_DRIVEN = 3.0  # s after the first moment of a fault, in which every situation comes to rest
-_HELD = 1.5  # s, in which all loads have arrived
+_DRIVEN = 3.0  # s after the earliest fault, enough for every situation to come to rest
+_HELD = 1.5  # s, enough for all loads to be applied
 
 
 class Expected(NamedTuple):
@@ -111,8 +111,8 @@ class Expected(NamedTuple):
 
     Attributes:
         times: Simulated times, shape (n,), s.
-        driven: Where it is at them without a fault, shape (n, 3).
-        holds: By the time at which the hold begins, s: where an ideal one keeps it, shape (n, 3).
+        driven: Its positions at these times without a fault, shape (n, 3).
+        holds: Its positions under an ideal hold, shape (n, 3), by the start time of the hold [s].
     """
 
     times: Array
@@ -120,23 +120,21 @@ class Expected(NamedTuple):
     holds: dict[float, Array]
 
     def distance(self, seen: Array, moment: float) -> float:
-        """Return how far the object was from where it may be, at most, m.
+        """Return the largest distance of observed positions, (n, 3), from the permitted ones [m].
 
-        Args:
-            seen: Where it was, shape (n, 3), m.
-            moment: Simulated time at which the fault began, s.
+        `moment` is the simulated time of the fault [s].
         """
         if not len(seen) or not np.isfinite(seen).all():
             return math.inf
         holds = [points for begin, points in self.holds.items() if begin > moment - _STEP]
         known = np.concatenate([self.driven[self.times >= moment - _STEP / 10.0], *holds])
-        nearest = optional("scipy.spatial", "Where the object may be").KDTree(known)
+        nearest = optional("scipy.spatial", "The distance of the object").KDTree(known)
         return float(nearest.query(seen)[0].max())
 
 
 @cache
 def expected(situation: str, way: str) -> Expected:
-    """Return where the object may be in a situation, in-process at the rate of a way."""
+    """Return the permitted positions in a situation, computed in-process at the rate of a way."""
     first = SITUATIONS[situation].time
     driven = _positions(situation, way, first + _DRIVEN, 0.0)
     rate = scenario(situation, way).plant.rate
@@ -146,7 +144,7 @@ def expected(situation: str, way: str) -> Expected:
 
 
 def _positions(situation: str, way: str, driven: float, held: float) -> Array:
-    """Return where the object is at each tick: of the drive, or of the hold after it."""
+    """Return the object's position at each tick of the drive, or of the hold after it."""
     guarded = GuardedLoop(scenario(situation, way), GuardConfig(age_limit=0))
     seen: list[Array] = []
     try:
@@ -158,5 +156,5 @@ def _positions(situation: str, way: str, driven: float, held: float) -> Array:
                 guarded.tick(answers=answers)
                 seen.append(guarded.loop.state.position.copy())
     except DivergedError:
-        pass  # a hold that cannot survive ends where it was
+        pass  # a hold that fails ends early
     return np.array(seen).reshape(-1, 3)

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What can fail, how, while the hand does what, and how its nodes run: the cells of the campaign.
+"""The cells of the campaign: component, fault, situation of the hand, and way to run its nodes.
 
-The words for faults are those of PX4's failure injection: off, stuck, garbage, wrong, slow,
-delayed, intermittent. A node that is off is killed, one that is stopped gets SIGSTOP.
+The names of faults are those of PX4's failure injection: off, stuck, garbage, wrong, slow, delayed,
+intermittent. A node that is off is killed; a node that is stopped gets SIGSTOP.
 """
 
 from __future__ import annotations
@@ -17,18 +17,17 @@ SPREAD = 0.2
 """Simulated time over which the moments of faults are spread [s]."""
 
 WAYS = ("in-process", "lockstep", "composed", "processes")
-"""By direct calls, without a clock; in lockstep in processes; in real time in one process and in
-processes."""
+"""In-process without a clock; processes in lockstep; real time in one process and in processes."""
 
 SITUATIONS = {
     "paper": ("at rest", "moving", "lifting", "pulled", "heavy"),
     "human": ("human, at rest", "human, turning", "human, lifting", "human, pulled"),
 }
-"""What the hand does, by the hand that does it."""
+"""Situations by hand."""
 
 FAULTS = ("off", "stuck", "garbage", "wrong", "slow", "delayed", "intermittent")
 NONE = "none"
-"""No fault: what the hand does in that way and situation anyway."""
+"""No fault: the baseline of a way and situation."""
 
 JOINTS, FINGER, SKIN = "joint link", "skin of one finger", "skin of all fingers"
 REGULATOR, OPTIMIZER, CONTROLLER = "regulator", "optimizer", "controller"
@@ -50,11 +49,11 @@ FAULTS_OF = {
 
 DEADLY = ("off", STOPPED)
 HAND = (SENSOR, REGULATOR, OPTIMIZER, CONTROLLER)
-"""What nodes are killed and stopped by, and which ones."""
+"""The nodes that are killed and stopped, by the faults of `DEADLY`."""
 
 
 class Cell(NamedTuple):
-    """One fault of one component, in one situation and one way to run."""
+    """One fault of one component in one situation and one way to run."""
 
     way: str
     situation: str
@@ -68,7 +67,7 @@ class Cell(NamedTuple):
 
 
 def cells(hands: Sequence[str] = tuple(SITUATIONS)) -> list[Cell]:
-    """Return all cells that exist for some hands."""
+    """Return all cells for some hands."""
     situations = itertools.chain.from_iterable(SITUATIONS[hand] for hand in hands)
     return [
         Cell(way, situation, component, fault)
@@ -80,15 +79,15 @@ def cells(hands: Sequence[str] = tuple(SITUATIONS)) -> list[Cell]:
 
 
 def _bases(way: str) -> tuple[str, ...]:
-    """Return the components with which the runs without a fault are counted."""
+    """Return the components whose cells include runs without a fault."""
     return (JOINTS, FINGER, REGULATOR, USER) if way == "in-process" else (USER,)
 
 
 def _exists(way: str, component: str, fault: str) -> bool:
-    """Return whether a fault can be injected there.
+    """Return whether a fault can be injected.
 
-    What travels on wires fails in-process only, where a node that is stopped is one that is off and
-    the sensor is the skin. Nodes are killed and stopped where each has a process of its own.
+    Messages fail in-process only; there, a stopped node equals one that is off, and the sensor
+    equals the skin. Nodes are killed and stopped only if each has its own process.
     """
     if way == "in-process":
         at_hand = component not in (RECORDER, SENSOR)
@@ -100,7 +99,7 @@ def _exists(way: str, component: str, fault: str) -> bool:
 
 @dataclass(frozen=True)
 class Injection:
-    """One injection: its cell, and the seed of its moment and of its noise."""
+    """One injection: its cell, and the seed of its time and noise."""
 
     way: str
     situation: str
@@ -110,19 +109,14 @@ class Injection:
 
     @property
     def delay(self) -> float:
-        """By how much the fault begins later than the first moment of its situation, s."""
+        """Delay of the fault after the earliest time of its situation [s]."""
         return random.Random(self.seed).uniform(0.0, SPREAD)
 
 
 def sample(runs: int, seed: int, among: Sequence[Cell]) -> list[Injection]:
-    """Return a balanced sample: no cell comes twice more often than another.
+    """Return a balanced sample of cells: their counts differ by at most one.
 
-    The runs that share nodes follow each other.
-
-    Args:
-        runs: Number of injections.
-        seed: Seed of the choice and of each run.
-        among: Cells to choose from.
+    Runs that share nodes are consecutive. The seed determines the choice and each run.
     """
     chance, chosen = random.Random(seed), list(among)
     drawn: list[Injection] = []

@@ -21,10 +21,10 @@ COLUMNS = (
 
 
 def rows(tables: Sequence[Table]) -> list[list[str]]:
-    """Return a row for each way, situation, component and fault, columns as in `COLUMNS`."""
+    """Return a row for each way, situation, component and fault; columns as in `COLUMNS`."""
     found = []
     for table in tables:
-        judged = table["outcome"] != FAILED  # of the others no hand held when the fault came
+        judged = table["outcome"] != FAILED  # failed runs started without a grasp
         way, is_none = str(table["way"][0]), table["fault"] == space.NONE
         faulty = judged & ~is_none
         found.append(row(f"{way}, no fault", table, judged & is_none))
@@ -39,7 +39,7 @@ def rows(tables: Sequence[Table]) -> list[list[str]]:
 
 
 def row(name: str, table: Table, chosen: NDArray[np.bool_]) -> list[str]:
-    """Return the figures of some runs as text."""
+    """Return the results of some runs as text."""
     some = {key: column[chosen] for key, column in table.items()}
     runs, drops = int(chosen.sum()), int((some["outcome"] == LOST).sum())
     if not runs:

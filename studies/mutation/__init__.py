@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Mutation testing: change a line on purpose and see whether a test notices."""
+"""Mutation testing: change a line on purpose and check whether a test fails."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The command behind `make mutate`: which mutants do the tests not notice?"""
+"""The command behind `make mutate`: list the mutants that no test kills."""
 
 from __future__ import annotations
 
@@ -18,25 +18,25 @@ from studies.mutation.trial import KILLED, folder_of, run_trials
 
 ROOT = Path(__file__).resolve().parents[2]
 EQUIVALENT = Path(__file__).parent / "equivalent.yaml"
-"""The survivors that no test can notice, each with its reason."""
+"""The survivors that no test can kill, each with its reason."""
 
 
 def _arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(prog="make mutate ARGS=...", description=__doc__)
     add = parser.add_argument
     add("packages", nargs="+", help="folders or files, such as control/slip")
-    add("--sample", type=int, help="at most so many mutants, chosen at random")
-    add("--seed", type=int, default=0, help="which sample")
+    add("--sample", type=int, help="maximum number of mutants, chosen at random")
+    add("--seed", type=int, default=0, help="seed of the sample")
     add("--jobs", type=int, default=os.cpu_count(), help="processes")
-    add("--budget", type=float, default=20.0, help="seconds of tests for a mutant")
+    add("--budget", type=float, default=20.0, help="time limit for the tests of a mutant [s]")
     return parser.parse_args()
 
 
 def main() -> int:
-    """Try the chosen mutants, print the survivors and the score of each folder.
+    """Test the chosen mutants, print the survivors and the score of each folder.
 
     Returns:
-        0 if every mutant was noticed or is listed as equivalent, 1 if not, 2 if nothing was tried.
+        0 if every mutant is killed or listed as equivalent, 1 if not, 2 if none was tested.
     """
     args = _arguments()
     try:

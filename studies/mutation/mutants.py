@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The mutants of a file: one operator, number, condition or statement is changed in each."""
+"""The mutants of a file: each changes one operator, number, condition or statement."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ _SWAPS: dict[type[ast.AST], tuple[type[Any], ...]] = {
 }
 _DECLARES = ("annotation", "returns", "decorator_list", "type_params")
 _NEVER = ("TYPE_CHECKING", "__name__ == '__main__'")
-"""Conditions that are false where tests import a module."""
+"""Conditions that are false when tests import a module."""
 
 
 @dataclass(frozen=True)
@@ -44,10 +44,10 @@ class Mutant:
 
     Attributes:
         path: The file, relative to the root of the project.
-        number: Which of the file's mutants, from 0.
-        line: Where the change is, from 1.
+        number: Index among the file's mutants, from 0.
+        line: Line of the change, from 1.
         function: The enclosing function, as in `Class.method`; empty at the top of a module.
-        change: The statement before and after; of one with a body only its head.
+        change: The statement before and after; only the head of a compound statement.
     """
 
     path: str
@@ -58,7 +58,7 @@ class Mutant:
 
     @property
     def key(self) -> str:
-        """Name the mutant so that edits elsewhere in the file do not change the name."""
+        """Name of the mutant, unaffected by edits elsewhere in the file."""
         return f"{self.path}:{self.function}: {self.change}"
 
     def mutated(self, source: str) -> str:
@@ -92,7 +92,7 @@ def _head(statement: ast.AST) -> str:
 
 @dataclass(frozen=True)
 class _Site:
-    """A node, where it hangs, and the statement and functions around it."""
+    """A node, its place in the tree, and the enclosing statement and functions."""
 
     node: Any
     parent: ast.AST
@@ -119,7 +119,7 @@ def _changes(tree: ast.AST) -> Iterator[tuple[_Site, Any]]:
 
 
 def _sites(node: Any, statement: Any, scope: tuple[str, ...]) -> Iterator[_Site]:
-    """Yield all nodes but what never runs, changes words only, or declares."""
+    """Yield all nodes except declarations, texts and code that never runs."""
     if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef):
         scope = (*scope, node.name)
     for field, value in ast.iter_fields(node):
@@ -145,7 +145,7 @@ def _is_silent(node: ast.AST) -> bool:
 
 
 def _others(site: _Site) -> Iterator[Any]:
-    """Yield what a node is replaced by."""
+    """Yield the replacements of a node."""
     node = site.node
     for kind in _SWAPS.get(type(node), ()):
         yield kind()
@@ -156,10 +156,10 @@ def _others(site: _Site) -> Iterator[Any]:
             yield from (ast.Constant(value + 1), ast.Constant(value - 1))
         case ast.UnaryOp(op=ast.USub() | ast.Not(), operand=operand):
             yield operand
-        case ast.Attribute(attr="T", value=value):  # R for its inverse
+        case ast.Attribute(attr="T", value=value):  # a rotation matrix for its inverse
             yield value
         case ast.Expr(value=ast.Call()) | ast.Assign(targets=[ast.Attribute() | ast.Subscript()]):
-            yield ast.Pass()  # how a reset, a limit or an update is forgotten
+            yield ast.Pass()  # as if a reset, limit or update were forgotten
         case ast.AugAssign():
             yield ast.Pass()
     if site.field == "test" and isinstance(site.parent, ast.If | ast.While | ast.IfExp):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which tests run a line, measured once by coverage.py, and whether they notice a change of it."""
+"""Find the tests of a line with coverage.py, and check whether they kill a mutant of it."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ from coverage import CoverageData
 from studies.mutation.mutants import Mutant
 
 _LEFT_OUT = (".venv", ".git", "__pycache__", "node_modules", "runs", ".*_cache", "build")
-# Inside machine code no line is seen to run, and no change seen.
+# Compiled code has no coverage, and its cache would hide a change.
 _INTERPRETED = ("", "hand", "control", "simulation")
-_SLOW = 20.0  # s, longest test that takes part
+_SLOW = 20.0  # s, maximum duration of a test
 _QUIET = ["-q", "--tb=no", "-p", "no:cacheprovider", "-o", "faulthandler_timeout=0"]
 
 KILLED, SURVIVED, UNCOVERED = "killed", "survived", "uncovered"
@@ -32,9 +32,9 @@ KILLED, SURVIVED, UNCOVERED = "killed", "survived", "uncovered"
 
 @dataclass(frozen=True)
 class CoverageMap:
-    """Tests by file and line, and how long each takes [s]; those that fail are left out.
+    """Tests by file and line, and the duration of each [s]; failing tests are excluded.
 
-    A test is named as in `test.unit.control.test_reach.test_name`, with all its parameters.
+    A name such as `test.unit.control.test_reach.test_name` covers all parameters of the test.
     """
 
     data: CoverageData
@@ -42,9 +42,9 @@ class CoverageMap:
     durations: dict[str, float]
 
     def covering(self, mutant: Mutant, budget: float) -> list[str]:
-        """Return the fastest tests of a line that together keep a budget [s], at least one.
+        """Return the fastest tests of a line within a time budget [s], at least one.
 
-        A line at the top of a module runs on import, in no test: all tests of the file count.
+        A line at the top of a module runs on import, so all tests of the file count.
         """
         by_line = self.data.contexts_by_lineno(str(self.tree / mutant.path))
         lines = [mutant.line] if mutant.function else list(by_line)
@@ -59,19 +59,19 @@ class CoverageMap:
 
 
 def folder_of(path: str) -> str:
-    """Return the folder of the package in which a file is, empty for a module beside them."""
+    """Return the package folder of a file, empty at the top of the package."""
     return "/".join(Path(path).parts[1:-1])
 
 
 def _environment(tree: Path, folder: str) -> dict[str, str]:
-    """Return the environment in which the tests of a folder import a tree."""
+    """Return the environment for the tests of a folder in a tree."""
     made = {**os.environ, "PYTHONPATH": str(tree), "PYTHONDONTWRITEBYTECODE": "1"}
     is_plain = folder.partition("/")[0] in _INTERPRETED
     return made | ({"TACTILE_HAND_INTERPRETED": "1"} if is_plain else {})
 
 
 def coverage_map(tree: Path, folder: str, scratch: Path) -> CoverageMap:
-    """Run the tests of a folder, and the property tests that import from it, once each."""
+    """Run the tests of a folder, and the property tests that import from it, once."""
     top, module = tree / "test" / "unit", f"tactile_hand_ros.{folder.replace('/', '.')}"
     found = list((top / folder).rglob("test_*.py") if folder else top.glob("test_*.py"))
     laws = (tree / "test" / "property").glob("test_*.py")
@@ -80,10 +80,10 @@ def coverage_map(tree: Path, folder: str, scratch: Path) -> CoverageMap:
     results, lines, settings = (scratch / f"{name}.{end}" for end in ("xml", "lines", "cfg"))
     settings.write_text("[run]\nsource = tactile_hand_ros\ndynamic_context = test_function\n")
     watched = ["-m", "coverage", "run", f"--rcfile={settings}", f"--data-file={lines}"]
-    # A timeout in a test of Hypothesis may end all of pytest.
+    # A timeout in a Hypothesis test may end the whole pytest run.
     options = [*_QUIET, "--timeout=600", f"--junit-xml={results}"]
     command = [sys.executable, *watched, "-m", "pytest", *options, *suites]
-    print(f"running the tests of '{folder}', to see which test runs which line", flush=True)
+    print(f"measuring the coverage of the tests of '{folder}'", flush=True)
     variables = _environment(tree, folder)
     subprocess.run(command, cwd=tree, env=variables, check=False, stdout=subprocess.DEVNULL)
     data = CoverageData(str(lines))
@@ -92,7 +92,7 @@ def coverage_map(tree: Path, folder: str, scratch: Path) -> CoverageMap:
 
 
 def _durations(results: Path) -> dict[str, float]:
-    """Return the duration of each test that passes with all its parameters [s]."""
+    """Return the duration [s] of each test that passes with all its parameters."""
     found: dict[str, float] = defaultdict(float)
     failed = set()
     for case in ElementTree.parse(results).iter("testcase"):
@@ -105,7 +105,7 @@ def _durations(results: Path) -> dict[str, float]:
 
 
 def _node_id(name: str, tree: Path) -> str:
-    """Return what pytest calls a test."""
+    """Return the pytest node id of a test."""
     parts = name.split(".")
     for count in range(len(parts) - 1, 0, -1):
         file = Path(*parts[:count]).with_suffix(".py")
@@ -122,16 +122,16 @@ def run_trials(
     budget: float,
     on_trial: Callable[[Mutant, str], None],
 ) -> None:
-    """Try mutants on several cores, each in a copy of the project.
+    """Test mutants on several cores, each in a copy of the project.
 
     Args:
-        mutants: The changes to try.
+        mutants: The mutants.
         root: The project.
-        scratch: A folder for the copies.
+        scratch: Folder for the copies.
         jobs: Number of processes.
-        budget: Time that the tests of a mutant may take without it [s]; slower ones are left out.
+        budget: Maximum time of a mutant's tests without it [s]; slower tests are skipped.
         on_trial: Called with each mutant and its verdict: killed, also by a timeout; survived; or
-            uncovered, where no test runs the line.
+            uncovered if no test runs the line.
     """
     ignored, trees = shutil.ignore_patterns(*_LEFT_OUT), SimpleQueue[Path]()
     for number in range(jobs):
@@ -161,7 +161,7 @@ def run_trials(
 
 
 def _fails(tests: list[str], tree: Path, folder: str, limit: float) -> bool:
-    """Return whether a test fails, or hangs; what it has started is ended."""
+    """Return whether a test fails or hangs; then end all its processes."""
     command = [sys.executable, "-m", "pytest", "-x", *_QUIET]
     command += [_node_id(name, tree) for name in tests]
     with subprocess.Popen(

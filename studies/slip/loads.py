@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Random loads on a grasp at rest: how often it is lost, against its grasp force before.
+"""Random loads on a grasp at rest: loss rate against the grasp force before the load.
 
-A grasp that knows its object and has relaxed to its need and reserve is hit by a load that nothing
-has announced. What no hand could hold follows from linear programming and does not count.
+The friction is known, and the grasp force has relaxed to the required force plus reserve, when an
+unexpected load acts. Loads that no hand could hold are found by linear programming and excluded.
 """
 
 from __future__ import annotations
@@ -34,20 +34,20 @@ Array = NDArray[np.float64]
 
 KINDS = ("step", "pulse", "ramp", "sine")
 DEFAULT = (0.6, 0.2)
-"""The reserve by default: per weight of a finger, and fraction of the largest recent load."""
+"""The default reserve: floor per weight of a finger, and fraction of the largest recent load."""
 
 RESERVES = {"floor": (0.0, 0.2, 0.4, 0.6, 1.0), "fraction": (0.1, 0.2, 0.4)}
-"""Floors and fractions of the reserves that are compared, each with each."""
+"""Floors and fractions of the compared reserves, in all combinations."""
 
 EVENT_TIME, DURATION = 0.3, 0.7  # s
-SLIDE = 5e-3  # m; farther than that a load has moved the object in the hand
-_BITS = 14  # of the encoders
-_RELAXING = {"release_rate": 500.0, "release_time": 0.02}  # until the load comes
+SLIDE = 5e-3  # m; beyond it, the load has moved the object in the hand
+_BITS = 14  # encoder resolution
+_RELAXING = {"release_rate": 500.0, "release_time": 0.02}  # until the load
 
 
 @dataclass(frozen=True)
 class Range:
-    """What a hand is loaded with: its scenario, layouts, and largest values in SI units."""
+    """Loads of a hand: scenario, layouts, and ranges in SI units."""
 
     scenario: str
     layouts: tuple[str, ...]
@@ -64,19 +64,19 @@ RANGES = {
 
 @dataclass(frozen=True)
 class LoadCase:
-    """A load, and what it acts on.
+    """A load and its target.
 
     Attributes:
         index: Number of the case; it seeds the sensor.
         hand: Hand, of `RANGES`.
         layout: Layout of the fingers.
-        down: Direction of gravity in the palm frame.
+        down: Direction of gravity, palm frame.
         mass: Mass of the object, kg.
-        friction: mu, which the hand knows.
+        friction: mu, known to the hand.
         kind: Course of the load over time.
-        duration: How long it lasts or rises, s.
-        force: Force at its largest, N.
-        torque: Torque at its largest, N m.
+        duration: Duration or rise time [s].
+        force: Peak force [N].
+        torque: Peak torque [N m].
     """
 
     index: int
@@ -92,7 +92,7 @@ class LoadCase:
 
 
 def sample_loads(runs: int, seed: int, hand: str = "paper") -> list[LoadCase]:
-    """Return random loads on a hand; the same seed gives the same ones."""
+    """Return random loads on a hand; the same seed gives the same loads."""
     random, limits = np.random.default_rng(seed), RANGES[hand]
     low, high = limits.mass
     cases = []
@@ -124,14 +124,14 @@ def _direction(random: np.random.Generator) -> Array:
 
 @functools.cache
 def _start(hand: str, layout: str) -> tuple[Contacts, Array]:
-    """Return contacts and center of mass at the start, in a layout."""
+    """Return the initial contacts and center of mass in a layout."""
     changes = {"layout": layout, "targets": []}
     plant = Plant(load_scenario(RANGES[hand].scenario, changes).plant)
     return plant.state.contacts, plant.state.position
 
 
 def scenario_of(case: LoadCase, floor: float, fraction: float) -> Scenario:
-    """Return the scenario of a load on a grasp with a reserve, see `DEFAULT`."""
+    """Return the scenario of a load on a grasp with a reserve; see `DEFAULT`."""
     centroid = _start(case.hand, case.layout)[0].centroid.tolist()
     load = {
         "kind": case.kind,
@@ -159,10 +159,10 @@ def scenario_of(case: LoadCase, floor: float, fraction: float) -> Scenario:
 
 
 def run_load(case: LoadCase, floor: float, fraction: float = DEFAULT[1]) -> dict[str, Any]:
-    """Let a load act on a relaxed grasp and return what came of it.
+    """Apply a load to a relaxed grasp and return the result.
 
-    That is k_f before the load [N], minimum grasp force then [N], whether a grasp inside the crush
-    limit can carry the load, the largest distance that a contact slid because of it [m], outcome.
+    It contains k_f before the load [N], the minimum grasp force then [N], whether a grasp within
+    the crush limit can carry the load, the largest slip distance under it [m], and the outcome.
     """
     scenario = scenario_of(case, floor, fraction)
     record = relaxed_run(scenario, round(EVENT_TIME * scenario.plant.rate))
@@ -180,7 +180,7 @@ def run_load(case: LoadCase, floor: float, fraction: float = DEFAULT[1]) -> dict
 
 
 def relaxed_run(scenario: Scenario, event: int) -> Record:
-    """Run a scenario whose grasp force falls to what is wanted within the ticks before an event."""
+    """Run a scenario in which the grasp force relaxes fully before the tick of an event."""
     loop = ClosedLoop(scenario)
     config = scenario.slip_regulator
     quick = config.model_copy(update={"reflex": config.reflex.model_copy(update=_RELAXING)})
@@ -195,7 +195,7 @@ def relaxed_run(scenario: Scenario, event: int) -> Record:
 
 
 def _minimum(case: LoadCase, factors: Sequence[float]) -> float:
-    """Return the minimum grasp force against the weight, also with some multiples of the load."""
+    """Return the minimum grasp force for the weight, alone and with multiples of the load."""
     contacts, position = _start(case.hand, case.layout)
     weight = 9.81 * case.mass * np.array([*case.down, 0.0, 0.0, 0.0])
     load = np.array([*case.force, *case.torque])
@@ -209,21 +209,14 @@ def study_of(
     reserves: Mapping[str, tuple[float, ...]] = RESERVES,
     hand: str = "paper",
 ) -> Study:
-    """Return the same loads on grasps with each reserve as a study.
-
-    Args:
-        runs: Number of loads.
-        seed: The same seed gives the same loads.
-        reserves: Floors and fractions of the reserve.
-        hand: Hand, of `RANGES`.
-    """
+    """Return the study of the same loads on a hand of `RANGES`, with each of the reserves."""
     space = {"case": Choice(tuple(sample_loads(runs, seed, hand)))}
     space |= {name: Choice(values) for name, values in reserves.items()}
     return Study(space, run_one, runs, seed)
 
 
 def run_one(point: Point) -> dict[str, Any]:
-    """Let the load of a point act on a grasp with its reserve."""
+    """Apply the load of a point to a grasp with its reserve."""
     return run_load(**point.values)
 
 
@@ -232,16 +225,16 @@ HEADS = ("floor", "fraction", "loads", "grasp force before", "over need", "lost"
 
 @dataclass(frozen=True)
 class TradeOff:
-    """Comfort and safety with one reserve, over the loads that can be survived.
+    """Comfort and safety with one reserve, over the survivable loads.
 
     Attributes:
         floor: Floor of the reserve, per weight of a finger.
         fraction: Its fraction of the largest recent load.
         runs: Number of loads.
-        grasp_force: Mean of k_f before the load, N.
-        need: Mean of the minimum grasp force then, N.
-        lost: Number of objects that were lost.
-        slid: Number of those that slid farther than `SLIDE`, or were lost.
+        grasp_force: Mean of k_f before the load [N].
+        need: Mean of the minimum grasp force then [N].
+        lost: Number of lost objects.
+        slid: Number of objects that slid farther than `SLIDE` or were lost.
     """
 
     floor: float
@@ -254,9 +247,9 @@ class TradeOff:
 
 
 def trade_offs(table: Table) -> list[TradeOff]:
-    """Return comfort and safety for each reserve; a run that failed counts as a loss."""
+    """Return comfort and safety for each reserve; a failed run counts as a loss."""
     failed = table["outcome"] == FAILED
-    possible = failed | (table["survivable"] == True)  # noqa: E712, missing where it failed
+    possible = failed | (table["survivable"] == True)  # noqa: E712, missing if it failed
     lost = failed | (table["outcome"] == LOST)
     slid = lost | (table["outcome"] == MISSED)
     curve = []
@@ -277,7 +270,7 @@ def trade_offs(table: Table) -> list[TradeOff]:
 
 
 def rows(curve: Sequence[TradeOff]) -> list[list[str]]:
-    """Return the curve as text, columns as in `HEADS`."""
+    """Return the curve as text, with the columns of `HEADS`."""
     return [
         [
             f"{point.floor:g}",
@@ -298,7 +291,7 @@ def _text(count: int, runs: int) -> str:
 
 
 def figure(curve: Sequence[TradeOff]) -> Figure:
-    """Draw what slides and what is lost against the grasp force before the load, per minimum."""
+    """Draw the rates of sliding and loss against the relative grasp force before the load."""
     with look():
         made = new_figure(PAGE, 2.6)
         axes = made.subplots()

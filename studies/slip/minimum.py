@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The minimum grasp force that holds, by linear programming on the true load."""
+"""The minimum grasp force that holds the true load, by linear programming."""
 
 from __future__ import annotations
 
@@ -18,28 +18,28 @@ from tactile_hand_ros.simulation.plant_config import external_wrench
 Array = NDArray[np.float64]
 
 SIDES = 64
-"""Edges of the pyramid in place of a cone; the result is too large by at most 1 / cos(pi / 64)."""
+"""Edges of the pyramid inside a cone; the result is too large by at most 1 / cos(pi / 64)."""
 
 
 def minimum_grasp_force(
     contacts: Contacts, wrench: Array, friction: ArrayLike, sides: int = SIDES
 ) -> float:
-    """Return the smallest sum of normal forces with which contacts can carry a wrench, (12).
+    """Return the minimum sum of normal forces that lets contacts carry a wrench, (12).
 
         min sum f_n   s.t.   sum_i R_i f_i = F,   sum_i (p_i - c) x R_i f_i = T,   |f_t| <= mu f_n
 
-    Each force is a sum of edges (mu cos a, 1, mu sin a) of a pyramid inside its cone, with weights
-    that are not negative: a linear program in the weights.
+    Each force is a sum of edges (mu cos a, 1, mu sin a) of a pyramid inside its cone with
+    non-negative weights. This is a linear program in the weights.
 
     Args:
-        contacts: Contact points and frames; those that do not touch carry nothing.
-        wrench: Force and torque about the centroid c of the contacts that touch, that they have to
-            put on the object, shape (6,), N and N m.
+        contacts: Contact points and frames; fingers without contact carry no force.
+        wrench: Required force and torque on the object, about the centroid c of the touching
+            contacts, shape (6,), N and N m.
         friction: mu of all contacts or of each, shape (k,).
         sides: Edges of a pyramid.
 
     Returns:
-        The sum in N; infinite when no forces inside the cones carry the wrench.
+        The sum [N]; infinite if no forces inside the cones carry the wrench.
     """
     touching = contacts.touching
     if not touching.any():
@@ -50,31 +50,27 @@ def minimum_grasp_force(
     ring = np.stack([np.cos(angles), np.zeros(sides), np.sin(angles)], axis=1)
     edges = mu[:, None, None] * ring + np.array([0.0, 1.0, 0.0])
     arms = centered(points)
-    # Torques in the length of the grasp, so that all rows have the same scale.
+    # Scale torques by the size of the grasp, so that all rows have the same scale.
     length = max(float(np.linalg.norm(arms, axis=1).max()), 1e-6)
     blocks = grasp_map(arms / length, frames).reshape(6, -1, 3)
     rows = np.einsum("akj,ksj->aks", blocks, edges).reshape(6, -1)
     goal = np.concatenate([wrench[:3], np.asarray(wrench[3:]) / length])
     scale = max(float(np.abs(goal).max()), 1e-9)
-    linprog = optional("scipy.optimize", "The smallest grasp force").linprog
+    linprog = optional("scipy.optimize", "The minimum grasp force").linprog
     result = linprog(np.ones(rows.shape[1]), A_eq=rows, b_eq=goal / scale, method="highs")
     return scale * float(result.fun) if result.status == 0 else math.inf
 
 
 def minimum_against(contacts: Contacts, position: Array, wrench: Array, friction: float) -> float:
-    """Return the minimum grasp force against a wrench on the object about its center of mass."""
+    """Return the minimum grasp force for a wrench on the object about its center of mass."""
     torque = wrench[3:] + np.cross(position - contacts.centroid, wrench[:3])
     return minimum_grasp_force(contacts, -np.concatenate([wrench[:3], torque]), friction)
 
 
 def minimum_at(record: Record, scenario: Scenario, time: float, row: int) -> float:
-    """Return the minimum grasp force against the true load and friction of a time.
+    """Return the minimum grasp force for the true load and friction of a scenario at a time [s].
 
-    Args:
-        record: The run.
-        scenario: What was run.
-        time: Time of load and friction, s.
-        row: Tick of the contacts and of the object's pose.
+    Contacts and pose of the object are those of a row of the record.
     """
     plant = scenario.plant
     contacts = Contacts.from_poses(record.true_positions[row], record.true_quaternions[row])

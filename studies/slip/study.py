@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The slip study: how fast slip is found and stopped, and at what grasp force.
+"""The slip study: how fast slip is detected and stopped, and at what grasp force.
 
-Every run starts with the prior friction and 1.3 times the grasp force that holds the object, with
-the prior or the true friction, whichever is lower. Then the surface turns slippery, or the object
-is pulled. A few runs last longer without any event, for the grasp force at rest.
+Every run starts with the prior friction and 1.3 times the minimum grasp force for the lower of the
+prior and the true friction. Then the surface becomes slippery, or the object is pulled. A few
+longer runs without an event measure the grasp force at rest.
 """
 
 from __future__ import annotations
@@ -42,34 +42,34 @@ Event = Literal["friction", "step", "ramp"]
 EVENTS: tuple[Event, ...] = ("friction", "step", "ramp")
 LOADS = {"friction": (1.2, 3.5), "step": (1.5, 8.0), "ramp": (1.5, 8.0)}
 RATES = (250.0, 500.0, 1000.0)
-CENTROID = (0.0, 0.0434, 0.4098)  # of the contacts at the start: the object is held where it is
+CENTROID = (0.0, 0.0434, 0.4098)  # of the initial contacts, so that the object stays in place
 EVENT_TIME, DURATION, RAMP = 0.07, 0.19, 0.05  # s
 HELD = {"known": 2.0, "unknown": 12.0}
-"""Duration of the runs without an event, by what the hand knows of the friction [s]."""
+"""Duration of the runs without an event, with known or unknown friction [s]."""
 
-SLIDING = 1e-3  # m/s; slower sliding is creep of contacts that hold
-LOST_SLIDE = 0.02  # m; as far as this no grasp is left
-_RISEN = 1.02  # grasp force against that before the event, from which it counts as a reaction
-_INERTIA = 0.0113  # of a uniform cube of this size, per mass, m^2
+SLIDING = 1e-3  # m/s; slower sliding is creep of sticking contacts
+LOST_SLIDE = 0.02  # m; beyond it, the object counts as lost
+_RISEN = 1.02  # grasp force relative to that before the event that counts as a reaction
+_INERTIA = 0.0113  # m^2, of a uniform cube of this size, per mass
 _NOISES = ((0.0, 0.005), (0.005, 0.012), (0.012, 1.0))  # N
-_LONGEST = 40.0  # ms that are drawn
+_LONGEST = 40.0  # ms, range of the figure
 
 
 @dataclass(frozen=True)
 class SlipCase:
-    """What is varied from run to run.
+    """The varied quantities of a run.
 
     Attributes:
         index: Number of the case; it seeds the sensor.
-        event: What happens.
+        event: The event.
         friction: mu before the event.
-        mass: Mass of the object, kg.
-        noise: Standard deviation of each force component, N.
-        latency: Age of a tactile sample, s.
-        rate: Samples per second, Hz.
-        load: Minimum grasp force after the event against that before it.
+        mass: Mass of the object [kg].
+        noise: Standard deviation of each force component [N].
+        latency: Age of a tactile sample [s].
+        rate: Samples per second [Hz].
+        load: Minimum grasp force after the event relative to that before it.
         pull: Direction of the pull.
-        kind: ``event``, ``pull`` where many share one pull, or one of `HELD`, without an event.
+        kind: ``event``, ``pull`` for cases with the same pull, or one of `HELD`, without an event.
     """
 
     index: int
@@ -85,7 +85,7 @@ class SlipCase:
 
 
 def sample_cases(runs: int, seed: int) -> list[SlipCase]:
-    """Return cases that fill the ranges evenly, by Latin-hypercube sampling."""
+    """Return cases from Latin-hypercube sampling of the ranges."""
     qmc = optional("scipy.stats.qmc", "The slip study")
     cases = []
     for i, u in enumerate(qmc.LatinHypercube(d=9, rng=np.random.default_rng(seed)).random(runs)):
@@ -108,7 +108,7 @@ def sample_cases(runs: int, seed: int) -> list[SlipCase]:
 
 
 def _between(low: float, high: float, fraction: float) -> float:
-    """Return a value at a fraction of the logarithm of a range."""
+    """Return a value at a fraction of a range, on a logarithmic scale."""
     return float(low * (high / low) ** fraction)
 
 
@@ -121,7 +121,7 @@ def pull_of(case: SlipCase) -> SlipCase:
 
 @functools.cache
 def _start() -> tuple[Contacts, Array]:
-    """Return the contacts and the center of mass at the start of a run."""
+    """Return the initial contacts and center of mass."""
     plant = Plant(_base().plant)
     return plant.state.contacts, plant.state.position
 
@@ -132,7 +132,7 @@ def _base() -> Scenario:
 
 
 def scenario_of(case: SlipCase, changes: Mapping[str, Any] | None = None) -> Scenario:
-    """Return the scenario of a case, with its event unless the changes by dotted key say else."""
+    """Return the scenario of a case with its event; changes by dotted key take precedence."""
     base = _base().slip_regulator
     contacts, position = _start()
     wrench = np.array([0.0, 0.0, -9.81 * case.mass, 0.0, 0.0, 0.0])
@@ -165,22 +165,22 @@ def _event(case: SlipCase) -> dict[str, Any]:
 
 
 def all_cases(runs: int, seed: int) -> list[SlipCase]:
-    """Return the cases of all runs: a few held for longer, some with one pull, the events."""
+    """Return the cases of all runs: a few long holds, some with the same pull, and the events."""
     cases = sample_cases(runs, seed)
     long, same = (cases[:: min(runs, every)] for every in (200, 40))
-    # The longest first, so that no core waits for one at the end.
+    # The longest first, so that no core is idle at the end.
     held = [replace(case, kind=kind) for kind in ("unknown", "known") for case in long]
     return held + [pull_of(case) for case in same] + cases
 
 
 def study_of(runs: int, seed: int) -> Study:
-    """Return the study: so many runs with an event, and a few that hold for longer."""
+    """Return the study: a number of runs with an event, and a few long holds."""
     cases = Choice(tuple(all_cases(runs, seed)))
     return Study({"case": cases}, run_one, runs, seed)
 
 
 def run_one(point: Point) -> dict[str, Any]:
-    """Make a run and return its measured columns and its outcome."""
+    """Make a run and return its measurements and outcome."""
     case = point.values["case"]
     if case.kind in HELD:
         return {**hold_case(case), "outcome": REACHED}
@@ -191,23 +191,22 @@ def run_one(point: Point) -> dict[str, Any]:
 
 
 def measure(record: Record, scenario: Scenario) -> dict[str, float]:
-    """Return what a run with an event shows.
+    """Return the measurements of a run with an event.
 
-    onset: Time of the first tick with a sliding contact after the event, s; NaN if it slid already.
-    detection: From there to the first alarm of that contact, s; infinite where none came.
-    reaction: From there to the grasp force that the plant acts on rising, s; below zero if the load
-    had been foreseen.
-    slip, early_slip: Largest distance that a contact slid since the event, and before it, m.
-    false_alarms: Alarms before the event while nothing slid.
-    excess: Minimum grasp force after the event against the one that was held at it.
-    survivable: Whether a grasp inside the crush limit can carry the load after the event.
+    onset: First tick with a sliding contact after the event [s]; NaN if one slid before.
+    detection: From onset to the first alarm of that contact [s]; infinite without an alarm.
+    reaction: From onset to the rise of the grasp force [s]; negative if it rose before.
+    slip, early_slip: Largest distance that a contact slid after and before the event [m].
+    false_alarms: Number of alarms before the event while no contact slid.
+    excess: Minimum grasp force after the event relative to the grasp force at the event.
+    survivable: Whether a grasp within the crush limit can carry the load after the event.
     lost, caught: Whether the object is gone or slid far, and whether it rests at the end.
-    peak: Largest sum of normal forces since the event against the minimum after it.
+    peak: Largest sum of normal forces after the event relative to the minimum after it.
     """
     event = int(np.searchsorted(record.stamps, round(EVENT_TIME * 1e9)))
     slides = record.true_sliding > SLIDING
     after = slides[event:].any(axis=1)
-    # What slid already has no onset after the event.
+    # Contacts that were already sliding have no onset after the event.
     fresh = after.any() and not slides[max(0, event - 5) : event].any()
     onset = event + int(after.argmax()) if fresh else None
     minimum = minimum_at(record, scenario, scenario.duration, event)
@@ -236,14 +235,14 @@ def _detection(record: Record, onset: int, first: NDArray[np.bool_]) -> float:
 
 
 def _reaction(record: Record, event: int, onset: int) -> float:
-    # Until the alarm the grasp force may also fall; what counts is that it rises above its level.
+    # The grasp force may also fall until the alarm; the reaction is a rise above the level before.
     risen = record.grasp_force[event:] > _RISEN * record.grasp_force[event]
     rise = event + int(risen.argmax())
     return float(record.times[rise] - record.times[onset]) if risen.any() else math.inf
 
 
 def false_alarms(record: Record) -> int:
-    """Count alarms that begin while no contact slides nor has lately."""
+    """Count alarms that start while no contact slides or has slid recently."""
     slips = record.grip == ContactState.SLIP
     begins = slips[1:] & ~slips[:-1]
     moving = (record.true_sliding > 0.1 * SLIDING).any(axis=1)
@@ -254,9 +253,9 @@ def false_alarms(record: Record) -> int:
 def hold_case(case: SlipCase) -> dict[str, float]:
     """Hold the object of a case without an event and compare the grasp force at the end.
 
-    With ``known`` friction the prior is the true one, with ``unknown`` all is as by default.
-    Ratio: sum of normal forces at the end against the minimum; estimate: largest estimated friction
-    against the true one; slip: largest distance that a contact slid, m.
+    With ``known`` friction the prior is the true friction; ``unknown`` uses the defaults.
+    Ratio: sum of normal forces at the end relative to the minimum; estimate: largest friction
+    estimate relative to the true friction; slip: largest distance that a contact slid [m].
     """
     changes: dict[str, Any] = {
         "duration": HELD[case.kind],
@@ -292,7 +291,7 @@ FRACTION_COLUMNS = ("", "runs", "fraction", "95 % interval")
 
 
 def rows(table: Table) -> list[list[str]]:
-    """Return the results as text, columns as in `COLUMNS`."""
+    """Return the results as text, with the columns of `COLUMNS`."""
     slipped = _slipped(table)
     fast = _some(slipped, slipped["rate"] == 1000.0)
     prompt = _some(fast, fast["latency"] <= 0.002)
@@ -328,19 +327,19 @@ def _text(value: float) -> str:
 
 
 def fraction_rows(table: Table) -> list[list[str]]:
-    """Return what happened how often, columns as in `FRACTION_COLUMNS`."""
+    """Return the frequency of events as text, with the columns of `FRACTION_COLUMNS`."""
     events, slipped = _some(table, table["kind"] == "event"), _slipped(table)
     possible = _some(events, events["survivable"] > 0.0)
     flags = {
         "slipped": np.isfinite(events["onset"]),
         "alarm within 10 ms of slipping": slipped["detection"] <= 0.01,
-        "alarm at all after slipping": np.isfinite(slipped["detection"]),
+        "any alarm after slipping": np.isfinite(slipped["detection"]),
         "grasp force rose within 20 ms of slipping": slipped["reaction"] <= 0.02,
         "no alarm without slip before the event": events["false_alarms"] == 0,
         "slid before the event": events["early_slip"] > 1e-5,
-        "a grasp inside the crush limit can survive": events["survivable"] > 0.0,
+        "a grasp within the crush limit can survive": events["survivable"] > 0.0,
         "survivable: lost": possible["lost"] > 0.0,
-        "survivable: at rest in the end": possible["caught"] > 0.0,
+        "survivable: at rest at the end": possible["caught"] > 0.0,
         "survivable: slid less than 1 mm": possible["slip"] < 1e-3,
     }
     return [[name, str(len(f)), *_percent(int(f.sum()), len(f))] for name, f in flags.items()]
@@ -352,7 +351,7 @@ def _percent(count: int, n: int) -> tuple[str, str]:
 
 
 def figure(table: Table) -> Figure:
-    """Draw how many slips are found, and answered, within a time; those never found stay out."""
+    """Draw the distributions of detection and reaction times."""
     slipped = _slipped(table)
     with look():
         made = new_figure(PAGE, 2.4)
@@ -372,7 +371,7 @@ def _distributions(axes: Axes, noise: Array, delays: Array, goal: float) -> None
         if not len(values):
             continue
         known = values[np.isfinite(values)]
-        # To the edge, so that what was never found shows as what is missing there.
+        # Extend the curve to the edge, so that undetected slips show as a gap below 1.
         times = np.append(known, _LONGEST)
         found = np.append(np.arange(1, len(known) + 1), len(known)) / len(values)
         name = f"{1e3 * low:g} to {1e3 * high:g} mN" if i < 2 else f"over {1e3 * low:g} mN"

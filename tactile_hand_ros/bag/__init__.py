@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Bags as rosbag2 (Jazzy) writes them: MCAP writing, reading and the texts around them."""
+"""Bags in the format of rosbag2 (Jazzy): MCAP writing, reading, recovery and metadata."""

@@ -20,7 +20,7 @@ RECORD_NAME = "rosbag2"
 RECORD_KEY = "serialized_metadata"
 
 OfferedQos = Mapping[str, Any]
-"""What one publisher offers, nested as in the metadata."""
+"""The QoS profile that one publisher offers, nested as in the metadata."""
 
 
 _PLAIN = re.compile(r"[A-Za-z_/][A-Za-z0-9_/.+-]*")
@@ -37,7 +37,7 @@ class TopicMetadata:
     message_count: int = 0
 
     def as_tree(self) -> dict[str, Any]:
-        """Return the mapping as rosbag2 nests it."""
+        """Return the mapping with the nesting of rosbag2."""
         return {
             "topic_metadata": {
                 "name": self.name,
@@ -76,7 +76,7 @@ class BagMetadata:
         return sum(topic.message_count for topic in self.topics)
 
     def as_tree(self) -> dict[str, Any]:
-        """Return the mapping in the order in which rosbag2 writes it."""
+        """Return the mapping in the key order of rosbag2."""
         totals = {
             "duration": {"nanoseconds": self.duration},
             "starting_time": {"nanoseconds_since_epoch": self.start},
@@ -87,7 +87,7 @@ class BagMetadata:
             "storage_identifier": "mcap",
             **totals,
             "topics_with_message_count": [topic.as_tree() for topic in self.topics],
-            "compression_format": "",  # these two mean compressed files or messages;
+            "compression_format": "",  # these two describe compressed files or messages;
             "compression_mode": "",  # MCAP itself compresses the chunks
             "relative_file_paths": [self.path],
             "files": [{"path": self.path, **totals}],
@@ -105,7 +105,7 @@ class BagMetadata:
 
 
 def offered_qos(profile: Any) -> OfferedQos:
-    """Return an ``rclpy.qos.QoSProfile``, as the graph reports it, nested as in the metadata."""
+    """Return an ``rclpy.qos.QoSProfile`` of the graph, nested as in the metadata."""
     return {
         "history": profile.history.name.lower(),
         "depth": profile.depth,
@@ -125,7 +125,7 @@ def _duration(duration: Any) -> dict[str, int]:
 
 
 class _Dumper(yaml.SafeDumper):
-    """Quotes texts that could be taken for something else, and repeats what occurs twice."""
+    """A dumper that quotes ambiguous texts and writes repeated objects in full."""
 
     def ignore_aliases(self, data: Any) -> bool:
         return True
@@ -140,6 +140,6 @@ _Dumper.add_representer(str, _quoted)
 
 
 def dump(tree: Any) -> str:
-    """Return YAML text that rosbag2 reads, without a newline at the end."""
+    """Return YAML text that rosbag2 can read, without a trailing newline."""
     text = yaml.dump(tree, Dumper=_Dumper, sort_keys=False, width=float("inf"), allow_unicode=True)
     return text.strip()

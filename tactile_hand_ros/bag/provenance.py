@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where a bag comes from: the scenario and the versions of what computed it."""
+"""Origin of a bag: the scenario and the versions of the software."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ SCENARIO_KEY = "scenario"
 """Key of the scenario's YAML text, in that record and in the bag's custom data."""
 
 LOST_KEY = "lost_messages"
-"""Key of the number of lost messages in the custom data; with a topic behind it, those of that."""
+"""Key of the number of lost messages in the custom data; followed by a topic, the number there."""
 
-# What can change a number; `pin` is the name of Pinocchio on the Python index only.
+# Libraries that can change a result; `pin` is Pinocchio's name on PyPI.
 _LIBRARIES = ("rclpy", "numpy", "osqp", "pin")
 
 
@@ -32,16 +32,12 @@ def versions() -> dict[str, str]:
     for name in _LIBRARIES:
         try:
             found[name] = version(name)
-        except PackageNotFoundError:  # installed by something that leaves no Python metadata
+        except PackageNotFoundError:  # installed without Python metadata
             continue
     return found
 
 
 def provenance(scenario: str) -> dict[str, str]:
-    """Return the origin of a bag as texts.
-
-    Args:
-        scenario: The scenario as YAML text with every value resolved; empty if there was none.
-    """
+    """Return the origin of a bag as texts, from the resolved scenario as YAML, empty if none."""
     found = {SCENARIO_KEY: scenario} if scenario else {}
     return found | {f"version_{name}": text for name, text in versions().items()}

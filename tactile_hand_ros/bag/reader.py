@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Reading of bags: thin functions on top of rosbags, with errors that state the remedy."""
+"""Reading of bags: a thin layer on top of rosbags, with errors that state the remedy."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _BAGS = (".mcap", ".db3")
 
 
 class RecordedMessage(NamedTuple):
-    """One message as its recorded bytes; log time in ns since the epoch."""
+    """The recorded bytes of one message; log time in ns since the epoch."""
 
     topic: str
     log_time: int
@@ -32,13 +32,13 @@ class RecordedMessage(NamedTuple):
 
     @property
     def message(self) -> Any:
-        """The message itself; raises a `BagError` as `decode`."""
+        """The decoded message; raises `BagError` like `decode`."""
         return decode(self.type, self.data)
 
 
 @dataclass(frozen=True)
 class BagSummary:
-    """What a bag holds; times in ns since the epoch, None without messages."""
+    """Contents of a bag; times in ns since the epoch, None without messages."""
 
     counts: dict[str, int]
     types: dict[str, str]
@@ -53,7 +53,7 @@ class BagSummary:
 
 
 def find_bag(path: Path) -> Path:
-    """Return the bag that a path means: itself, or ``bag/`` in the folder of a run.
+    """Return the bag at a path: the path itself, or ``bag/`` in the folder of a run.
 
     Raises:
         BagError: If it does not exist.
@@ -72,7 +72,7 @@ def open_bag(path: Path | str) -> Iterator[AnyReader]:
     """Open a bag folder or a single ``.mcap`` or ``.db3`` file.
 
     Raises:
-        BagError: If it is missing, empty, truncated or otherwise broken.
+        BagError: If it is missing, empty, truncated or damaged.
     """
     path = Path(path)
     _check_present(path)
@@ -91,7 +91,7 @@ def summarize(path: Path | str) -> BagSummary:
     Raises:
         BagError: If the bag cannot be read.
     """
-    # rosbags takes numbers and texts from metadata.yaml as they are.
+    # rosbags does not check the types of values in metadata.yaml.
     with open_bag(path) as reader, _damage_refused(path):
         counts: dict[str, int] = {}
         for connection in reader.connections:
@@ -102,7 +102,7 @@ def summarize(path: Path | str) -> BagSummary:
             counts=counts,
             types={each.topic: str(each.msgtype) for each in reader.connections},
             start_time=int(reader.start_time) if some else None,
-            end_time=int(reader.end_time) - 1 if some else None,  # rosbags reports the time after
+            end_time=int(reader.end_time) - 1 if some else None,  # rosbags adds 1 ns
             custom_data={str(key): str(text) for key, text in custom.items()},
         )
 
@@ -110,11 +110,7 @@ def summarize(path: Path | str) -> BagSummary:
 def read_messages(
     path: Path | str, topics: Collection[str] | None = None
 ) -> Iterator[RecordedMessage]:
-    """Yield messages in order of their log time.
-
-    Args:
-        path: Bag folder or file.
-        topics: Full names of the wanted topics; all if None. Absent topics give no messages.
+    """Yield the messages of topics (full names; all if None) in order of log time.
 
     Raises:
         BagError: If the bag cannot be read.
@@ -125,22 +121,18 @@ def read_messages(
 
 
 class TopicMessages(NamedTuple):
-    """The messages of one topic in order of their log time, ns since the epoch."""
+    """The messages of one topic in order of log time, ns since the epoch."""
 
     log_times: list[int]
     data: list[bytes]
 
     def part(self, start: int, stop: int) -> TopicMessages:
-        """Return the messages from one index to before another."""
+        """Return the messages of a range of indices."""
         return TopicMessages(self.log_times[start:stop], self.data[start:stop])
 
 
 def read_topics(path: Path | str, topics: Collection[str]) -> dict[str, TopicMessages]:
-    """Read all messages of topics.
-
-    Args:
-        path: Bag folder or file.
-        topics: Full names; absent topics have no messages.
+    """Read all messages of topics, given by full names; absent topics have no messages.
 
     Raises:
         BagError: If the bag cannot be read.
@@ -154,7 +146,7 @@ def read_topics(path: Path | str, topics: Collection[str]) -> dict[str, TopicMes
 
 
 def decode(type_name: str, data: bytes) -> Any:
-    """Return a message of a type that ROS 2 Jazzy brings along.
+    """Return a message of a type that is part of ROS 2 Jazzy.
 
     Raises:
         BagError: If it is not of that type.
@@ -180,25 +172,19 @@ def iterate(
     start: int | None = None,
     stop: int | None = None,
 ) -> Iterator[tuple[Connection, int, bytes]]:
-    """Yield connection, log time and data of an open bag's messages in order of log time.
-
-    Args:
-        reader: From `open_bag`.
-        connections: Which messages; none if empty.
-        start: Earliest log time in ns, inclusive.
-        stop: Latest log time in ns, exclusive.
+    """Yield connection, log time and data of messages in [start, stop) ns, in order of log time.
 
     Raises:
         BagError: If the bag is damaged.
     """
-    if connections:  # without any, rosbags would yield all
+    if connections:  # with an empty list, rosbags yields all messages
         with _damage_refused(str(reader.paths[0])):
             yield from reader.messages(connections, start=start, stop=stop)
 
 
 @contextlib.contextmanager
 def _damage_refused(path: Path | str) -> Iterator[None]:
-    """Turn errors of the parsers into a `BagError`: damaged data can fail anywhere in them."""
+    """Turn parser errors into `BagError`, because damaged data can fail anywhere in them."""
     try:
         yield
     except BagError:
@@ -226,12 +212,12 @@ def _check_present(path: Path) -> None:
     if path.is_dir() and not (path / FILE_NAME).exists():
         raise BagError(
             f"The folder {path} has no {FILE_NAME}: it is not a bag, or its recording was cut off "
-            f"or still runs; run `tactile-hand recover {path}`."
+            f"or is still running; run `tactile-hand recover {path}`."
         )
 
 
 def _custom_data(reader: AnyReader, path: Path) -> dict[str, str]:
-    """Return the texts on the origin of a bag; a single file has no metadata.yaml next to it."""
+    """Return the origin of a bag; a single file has no metadata.yaml next to it."""
     parts = [part.storage for part in reader.readers if isinstance(part, Reader)]
     found = next((part.metadata.custom for part in parts if part.metadata.custom), {})
     if found or path.is_dir() or path.suffix != ".mcap":

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Recovery of bags that were cut off: every complete chunk, written to a new bag."""
+"""Recovery of truncated bags: every complete chunk, written to a new bag."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from tactile_hand_ros.bag.writer import BagWriter
 from tactile_hand_ros.errors import BagError
 
 LARGEST = 2**28
-"""Largest record and chunk that are read [B]; what announces more is damaged."""
+"""Maximum size of a record or chunk [B]; a larger announced size means damage."""
 
 _MAGIC = b"\x89MCAP0\r\n"
 
@@ -30,7 +30,7 @@ class Recovery(NamedTuple):
     Attributes:
         target: The new bag.
         metadata: Its file and topics.
-        left: Bytes that were cut off or damaged.
+        left: Number of truncated or damaged bytes.
     """
 
     target: Path
@@ -39,19 +39,19 @@ class Recovery(NamedTuple):
 
     @property
     def messages(self) -> int:
-        """Number of messages that were recovered."""
+        """Number of recovered messages."""
         return self.metadata.message_count
 
 
 def recover(bag: Path | str, out: Path | str | None = None) -> Recovery:
-    """Write all complete chunks of a bag, of any recorder, to a new bag.
+    """Write all complete chunks of a bag, from any recorder, to a new bag.
 
     Args:
         bag: Bag folder, folder of a run with ``bag/`` in it, or ``.mcap`` file.
-        out: Folder to create; by default next to the bag, with ``_recovered`` after its name.
+        out: Folder to create; by default next to the bag, with the suffix ``_recovered``.
 
     Raises:
-        BagError: If there is no MCAP bag, the output exists, or the disk refuses the data.
+        BagError: If there is no MCAP bag, the output exists, or the disk rejects the data.
     """
     source = find_bag(Path(bag))
     files = _files_of(source)
@@ -62,7 +62,7 @@ def recover(bag: Path | str, out: Path | str | None = None) -> Recovery:
         for file in files:
             copy.add(file)
         return Recovery(target, copy.close(), copy.left)
-    except BaseException:  # half a bag would only be in the way of the next attempt
+    except BaseException:  # half a bag would block the next attempt
         shutil.rmtree(target, ignore_errors=True)
         raise
 
@@ -73,14 +73,14 @@ def _files_of(bag: Path) -> list[Path]:
     files = sorted(found, key=lambda file: (len(file.name), file.name))
     if not files:
         raise BagError(
-            f"The folder {bag} holds no .mcap file; only MCAP bags can be recovered, and files "
-            "that rosbag2 has compressed only after `ros2 bag convert`."
+            f"The folder {bag} contains no .mcap file. Only MCAP bags can be recovered; run `ros2 "
+            "bag convert` first if rosbag2 compressed the files."
         )
     return files
 
 
 class _Copy:
-    """Writes what can be read from MCAP files to a new bag."""
+    """Copies the readable parts of MCAP files to a new bag."""
 
     def __init__(self, writer: BagWriter) -> None:
         self.left = 0
@@ -90,7 +90,7 @@ class _Copy:
         self._channels: dict[int, int] = {}
 
     def add(self, file: Path) -> None:
-        """Add all messages and metadata of a file, up to its index or the cut."""
+        """Add all messages and metadata of a file, up to its index or its truncated end."""
         self._schemas, self._channels = {}, {}
         with file.open("rb") as stream:
             if not _MAGIC.startswith(stream.read(len(_MAGIC))):
@@ -102,7 +102,7 @@ class _Copy:
             while True:
                 try:
                     record = next(records)
-                except Exception:  # cut off; damaged data can fail anywhere in the parsers
+                except Exception:  # truncated; damaged data can fail anywhere in the parsers
                     self.left += file.stat().st_size - end
                     return
                 if isinstance(record, DataEnd):
@@ -111,7 +111,7 @@ class _Copy:
                 self._add_record(record)
 
     def _add_record(self, record: McapRecord) -> None:
-        """Add a record, or count what is damaged."""
+        """Add a record, or count its bytes if it is damaged."""
         try:
             if isinstance(record, Chunk):
                 if record.uncompressed_size > LARGEST:
@@ -133,7 +133,7 @@ class _Copy:
             self.left += len(getattr(record, "data", b""))
 
     def _add_channel(self, channel: Channel) -> None:
-        """Announce a channel; those of one topic in several files become one."""
+        """Announce a channel; channels of one topic in several files become one."""
         schema = self._schemas[channel.schema_id]
         key = channel.topic, schema.name
         if key not in self._numbers:
@@ -151,7 +151,7 @@ class _Copy:
         return self._writer.close()
 
     def _keep(self, record: Metadata) -> None:
-        """Copy a metadata record; of rosbag2's own, the custom data, which no message contains."""
+        """Copy a metadata record; of rosbag2's own record, copy only the custom data."""
         if record.name == RECORD_NAME:
             tree = yaml.safe_load(record.metadata[RECORD_KEY])
             custom = {str(key): str(text) for key, text in tree["custom_data"].items()}
@@ -161,8 +161,8 @@ class _Copy:
 
 
 def _offers(text: str) -> list[OfferedQos]:
-    """Read a channel's offers, in which older versions of rosbag2 number the policies."""
+    """Parse a channel's offers; older versions of rosbag2 use numbers for the policies."""
     try:
         return [dict(offer) for offer in dump_qos_v9(parse_qos(text))]
-    except Exception:  # text of others, which may be anything
+    except Exception:  # other recorders may write any text
         return []

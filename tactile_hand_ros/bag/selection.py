@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Choice of topics by name."""
+"""Selection of topics by name."""
 
 from __future__ import annotations
 
@@ -10,17 +10,13 @@ from tactile_hand_ros.errors import ConfigurationError
 
 
 class TopicSelection:
-    """Decides by name which topics are recorded."""
+    """A selection of topics by regular expressions on their names."""
 
     def __init__(self, include: Sequence[str], exclude: Sequence[str] = ()) -> None:
-        """Compile the patterns.
-
-        Args:
-            include: Regular expressions, one of which must match the whole name.
-            exclude: Regular expressions, none of which may match the whole name.
+        """Compile the patterns: one `include` and no `exclude` must match the whole name.
 
         Raises:
-            ConfigurationError: If one is not valid.
+            ConfigurationError: If a pattern is invalid.
         """
         try:
             self._include = [re.compile(pattern) for pattern in include]
@@ -30,7 +26,7 @@ class TopicSelection:
             raise ConfigurationError(text) from None
 
     def __contains__(self, topic: str) -> bool:
-        """Return whether a topic, given by its full name, is chosen; hidden ones never are."""
+        """Return whether a topic is selected, by its full name; hidden topics never are."""
         is_hidden = any(part.startswith("_") for part in topic.split("/"))
         if is_hidden or any(pattern.fullmatch(topic) for pattern in self._exclude):
             return False

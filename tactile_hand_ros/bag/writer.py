@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Writing of a rosbag2 folder with one MCAP file."""
+"""Writing a rosbag2 folder with one MCAP file."""
 
 from __future__ import annotations
 
@@ -36,17 +36,17 @@ COMPRESSIONS = {
 
 @dataclass
 class BagWriter:
-    """Writes serialized messages to a new bag, as rosbag2 (Jazzy) would.
+    """Writes serialized messages to a new bag in the format of rosbag2 (Jazzy).
 
     A killed process loses the messages since the last `flush`. After a failed write (a full disk)
-    the bag is closed; what has reached the disk can be recovered. ``metadata.yaml`` exists if and
-    only if the bag is complete.
+    the bag is closed; the data on disk can be recovered. ``metadata.yaml`` exists if and only if
+    the bag is complete.
 
     Attributes:
-        folder: Folder to create; the file in it has the same name.
-        compression: ``none``, ``lz4`` or ``zstd``, of chunks.
-        chunk_size: Size at which a chunk is written, in bytes before compression.
-        custom_data: Texts for the bag's metadata; may be filled until `close`.
+        folder: Folder to create; its file has the same name.
+        compression: Compression of the chunks: ``none``, ``lz4`` or ``zstd``.
+        chunk_size: Size of a chunk before compression [B].
+        custom_data: Texts for the bag's metadata; may be changed until `close`.
         ros_distro: Name of the ROS distribution.
     """
 
@@ -99,12 +99,12 @@ class BagWriter:
         Args:
             topic: Full name.
             type_name: Full name of the type, e.g. ``std_msgs/msg/String``.
-            offers: What its publishers offer.
+            offers: QoS profiles that its publishers offer.
             type_hash: Hash of the type, ``RIHS01_...``.
-            definition: Schema; that of the installed package if None.
+            definition: Schema, by default from the installed package.
 
         Returns:
-            Number of the channel for `write`; they count from 1.
+            Channel number for `write`, counted from 1.
 
         Raises:
             BagError: If the bag is closed or the type's definition is not installed.
@@ -123,26 +123,16 @@ class BagWriter:
     def add_metadata(self, name: str, values: Mapping[str, str]) -> None:
         """Add a metadata record to the MCAP file, which any MCAP reader shows.
 
-        Args:
-            name: Name of the record.
-            values: Its texts by key.
-
         Raises:
-            BagError: If the bag is closed or the disk refuses the data.
+            BagError: If the bag is closed or the disk rejects the data.
         """
         self._do(self._writer.add_metadata, name, dict(values))
 
     def write(self, channel: int, data: bytes, log_time: int, publish_time: int) -> None:
-        """Append one serialized message.
-
-        Args:
-            channel: Number from `add_channel`.
-            data: CDR bytes.
-            log_time: Time of reception in ns since the epoch.
-            publish_time: Time of publication in ns since the epoch.
+        """Append one CDR message, with times of reception and publication in ns since the epoch.
 
         Raises:
-            BagError: If the bag is closed or the disk refuses the data.
+            BagError: If the bag is closed or the disk rejects the data.
         """
         self._do(self._writer.add_message, channel, log_time, data, publish_time)
         self._counts[channel - 1] += 1
@@ -151,21 +141,18 @@ class BagWriter:
         self._end = max(self._end, log_time)
 
     def flush(self) -> None:
-        """Finish the chunk in progress, so that its messages survive the death of the process.
+        """Finish the current chunk, so that its messages survive a crash of the process.
 
         Raises:
-            BagError: If the bag is closed or the disk refuses the data.
+            BagError: If the bag is closed or the disk rejects the data.
         """
         self._do(self._writer.flush)
 
     def close(self) -> BagMetadata:
-        """Write index and metadata; repeated calls change nothing.
-
-        Returns:
-            The metadata that was written.
+        """Write index and metadata, and return the metadata; repeated calls change nothing.
 
         Raises:
-            BagError: If the disk refuses the data.
+            BagError: If the disk rejects the data.
         """
         metadata = self.metadata()
         if self.is_open:
@@ -178,7 +165,7 @@ class BagWriter:
         return metadata
 
     def metadata(self) -> BagMetadata:
-        """Return what is known of the bag now; topics in order of their names."""
+        """Return the current metadata, with topics sorted by name."""
         topics = [
             replace(topic, message_count=count)
             for topic, count in zip(self._topics, self._counts, strict=True)
@@ -193,9 +180,9 @@ class BagWriter:
         )
 
     def _do(self, call: Callable[..., Any], *args: Any) -> Any:
-        """Call what writes; close the bag if that fails."""
+        """Call a writing function; close the bag if it fails."""
         if not self.is_open:
-            raise BagError(f"The bag {self.folder} is closed, nothing can be added to it.")
+            raise BagError(f"The bag {self.folder} is closed; nothing can be added to it.")
         try:
             return call(*args)
         except OSError as error:
@@ -212,7 +199,7 @@ class BagWriter:
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Close the bag, also after an error: what was recorded stays readable."""
+        """Close the bag, also after an error, so that it stays readable."""
         self.close()
 
 
@@ -226,6 +213,5 @@ def _create(folder: Path) -> None:
         ) from None
     except OSError as error:
         raise BagError(
-            f"The output {folder} cannot be created: {error.strerror}; choose a folder that can "
-            "be written."
+            f"The output {folder} cannot be created: {error.strerror}; choose a writable folder."
         ) from None

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Scenarios, and the closed loop of one, in-process."""
+"""The closed loop of a scenario, in-process."""

@@ -1,10 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The five blocks wired together: the paper without ROS, and the oracle for the ROS graph.
+"""The five blocks wired together: the paper without ROS, and the reference for the ROS graph.
 
-The blocks are plant, skin, slip regulator, force optimizer and controller. A `Chain` wires the
-last three, and a `SensingChain` puts the skin before them. `ClosedLoop` closes the loop over the
-plant and records it. A process with several nodes runs the same chains, with a node around each
-block.
+The blocks are plant, skin, slip regulator, force optimizer and controller. A `Chain` wires the last
+three, and a `SensingChain` adds the skin before them. `ClosedLoop` closes the loop with the plant
+and records it. A process with several nodes runs the same chains, with a node around each block.
 """
 
 from __future__ import annotations
@@ -32,7 +31,7 @@ Array = NDArray[np.float64]
 
 
 class Answer(NamedTuple):
-    """What the blocks answer to a tick: k_f in N, f* and the torques."""
+    """The blocks' answer to a tick: k_f [N], f* and the torques."""
 
     grasp_force: float
     optimal: OptimalForces
@@ -43,15 +42,15 @@ class Chain:
     """From joints and touch to torques: regulator, optimizer and controller.
 
     Attributes:
-        regulator: Gives k_f.
-        optimizer: Gives f*.
-        controller: Gives the torques.
+        regulator: Computes k_f.
+        optimizer: Computes f*.
+        controller: Computes the torques.
     """
 
     def __init__(
         self, regulator: SlipRegulator, optimizer: ForceOptimizer, controller: Controller
     ) -> None:
-        """Wire the blocks, or nodes that stand for them."""
+        """Wire the blocks, or nodes that wrap them."""
         self.regulator, self.optimizer, self.controller = regulator, optimizer, controller
 
     def answer(
@@ -66,11 +65,11 @@ class Chain:
         """Return the answer to a tick.
 
         Args:
-            stamp: The tick, ns.
+            stamp: The tick [ns].
             theta: Joint angles, shape (m,), rad.
             rates: Joint rates, shape (m,), rad/s.
-            applied: Torques since the tick before, shape (m,), N m; None where not known.
-            contacts: Contacts by touch, palm frame.
+            applied: Torques since the previous tick, shape (m,), N m; None if unknown.
+            contacts: Measured contacts in the palm frame.
             forces: Measured forces in contact frames, shape (k, 3), N.
         """
         grasp_force = self.regulator.step(stamp, contacts, forces)
@@ -82,13 +81,13 @@ class Chain:
         return Answer(grasp_force, optimal, command)
 
     def pass_back(self) -> None:
-        """Pass on to the regulator whether touch is rejected, and whether the joints are held."""
+        """Forward to the regulator whether touch is rejected and whether the joints are held."""
         self.regulator.reject_touch(self.controller.touch_rejected)
         self.regulator.joints_held = self.controller.joints_held
 
 
 class SensingChain(Chain):
-    """From true contacts to torques: the simulated skin before a `Chain`.
+    """From true contacts to torques: the simulated skin, followed by a `Chain`.
 
     Attributes:
         sensor: The skin.
@@ -101,20 +100,16 @@ class SensingChain(Chain):
         optimizer: ForceOptimizer,
         controller: Controller,
     ) -> None:
-        """Wire the blocks, or nodes that stand for them."""
+        """Wire the blocks, or nodes that wrap them."""
         super().__init__(regulator, optimizer, controller)
         self.sensor = sensor
 
     def sense(
         self, stamp: int, state: PlantState, true: TactileReading, sliding: Array
     ) -> tuple[TactileReading, Answer]:
-        """Return what touch reports at a tick, and the answer to it.
+        """Return the tactile reading at a tick [ns] and the answer to it.
 
-        Args:
-            stamp: The tick, ns.
-            state: Hand and object.
-            true: True contacts of that state.
-            sliding: Their sliding speeds, shape (k,), m/s.
+        The sliding speeds of the true contacts have the shape (k,), m/s.
         """
         if state.palm is not None:
             self.controller.turn_palm(state.palm)
@@ -136,23 +131,23 @@ def sensing_chain(scenario: Scenario, hand: Hand) -> SensingChain:
 class ClosedLoop:
     """Plant, sensor, regulator, optimizer and controller of one scenario.
 
-    A tick runs them in the order in which messages travel. Contacts pass through the quaternions of
-    the topics, so that the ROS graph in lockstep gives the same numbers to the bit.
+    A tick runs them in the order of the messages. Contacts are converted to quaternions and back,
+    as on the topics, so the ROS graph in lockstep gives bit-identical numbers.
 
     Attributes:
-        scenario: What is run.
+        scenario: The scenario.
         plant: Hand and object.
         chain: The other blocks.
-        state: Hand and object at the present tick.
-        stamp: The present tick, ns.
+        state: Hand and object at the current tick.
+        stamp: The current tick [ns].
     """
 
     def __init__(self, scenario: Scenario) -> None:
         """Build all blocks.
 
         Raises:
-            TactileHandError: If hand, object or grasp cannot be built, or the scenario cannot
-                work; see `check_scenario`.
+            TactileHandError: If hand, object or grasp cannot be built, or `check_scenario` rejects
+                the scenario.
         """
         check_scenario(scenario)
         self.scenario = scenario
@@ -186,11 +181,11 @@ class ClosedLoop:
         """Run to the end of the scenario, or for a number of ticks.
 
         Args:
-            ticks: Number of ticks; that of the scenario by default.
-            progress: Called with the number of finished ticks, a hundred times in a run.
+            ticks: Number of ticks, by default that of the scenario.
+            progress: Called with the number of finished ticks, a hundred times per run.
 
         Returns:
-            The record. It stops early, with the object dropped, where the simulation diverges.
+            The record. If the simulation diverges, it ends early, with the object dropped.
         """
         ticks = self.scenario.ticks if ticks is None else ticks
         hand = self.plant.hand
@@ -209,16 +204,16 @@ class ClosedLoop:
         self.advance(self.answer(record, row).torque)
 
     def advance(self, torque: Array) -> None:
-        """Move the plant one tick ahead with a torque, shape (m,), N m."""
+        """Advance the plant by one tick with a torque, shape (m,), N m."""
         self.drive(lambda since, theta, rates: torque)
 
     def drive(self, torque_of: Callable[[int, Array, Array], Array]) -> None:
-        """Move the plant one tick ahead with the torques of a drive; see `Plant.drive`."""
+        """Advance the plant by one tick with the torques of a drive; see `Plant.drive`."""
         self.state = self.plant.drive(torque_of)
         self.stamp += self.scenario.plant.tick
 
     def answer(self, record: Record, row: int) -> Command:
-        """Return the controller's answer to the present tick, and write both into a row."""
+        """Return the controller's answer to the current tick, and write both into a row."""
         while self._requests and self._requests[0].stamp <= self.stamp:
             self.regulator.request(self._requests.pop(0).force)
         state = self.state
@@ -240,7 +235,7 @@ class ClosedLoop:
         return answer.command
 
     def _write(self, record: Record, row: int, answer: Answer) -> None:
-        """Write what the hand answers to a tick, and what it has learned."""
+        """Write the blocks' answer to a tick and the friction estimates."""
         command, target = answer.command, self.controller.targets.accepted
         record.grasp_force[row] = answer.grasp_force
         record.optimal_forces[row] = answer.optimal.forces

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What happened in a run, tick by tick, as arrays: the same in-process as from a bag."""
+"""A run as arrays, tick by tick; identical in-process and from a bag."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ Array = NDArray[np.float64]
 
 
 def _ticks(shape: str, meaning: str) -> Array:
-    """Declare an array with one row per tick; shape is that of a row."""
+    """Declare an array with one row per tick, given the shape of a row."""
     array: Array = field(metadata={"shape": shape, "meaning": meaning})
     return array
 
@@ -21,8 +21,8 @@ def _ticks(shape: str, meaning: str) -> Array:
 class Record:
     """Time-aligned arrays of a run with n ticks, k fingers and m joints; NaN where unknown.
 
-    Positions are in the palm frame, quaternions are (x, y, z, w), forces act on the object and are
-    in the contact frames C_i, where y is the normal.
+    Positions are in the palm frame, quaternions are (x, y, z, w). Forces act on the object and are
+    in the contact frames C_i, with y along the normal.
     """
 
     finger_names: list[str]
@@ -31,7 +31,7 @@ class Record:
     palm: Array = _ticks("4", "orientation of the palm in the world by an IMU")
     theta: Array = _ticks("m", "joint angles, rad")
     rates: Array = _ticks("m", "joint rates, rad/s")
-    torque: Array = _ticks("m", "torque that acted until the tick, N m")
+    torque: Array = _ticks("m", "torque applied until the tick, N m")
     command: Array = _ticks("m", "torque that answered the tick, N m")
     contact_positions: Array = _ticks("k3", "contact points by touch, m")
     contact_quaternions: Array = _ticks("k4", "contact frames by touch")
@@ -49,13 +49,13 @@ class Record:
     true_forces: Array = _ticks("k3", "true contact forces, N")
     true_sliding: Array = _ticks("k", "true sliding speed of each contact, m/s")
     true_slid: Array = _ticks("k", "true distance each contact has slid, m")
-    friction: Array = _ticks("k", "friction as the regulator has learned it")
+    friction: Array = _ticks("k", "friction estimate of the regulator")
     slip_evidence: Array = _ticks("k", "evidence for slip, 1 at the alarm")
     grip: Array = _ticks("k", "state of each contact: 0 unknown, 1 stick, 2 slip")
 
     @classmethod
     def empty(cls, ticks: int, finger_names: list[str], joint_names: list[str]) -> Record:
-        """Return a record full of NaN to be filled in."""
+        """Return a record filled with NaN."""
         sizes = {"k": len(finger_names), "m": len(joint_names), "3": 3, "4": 4}
         arrays = {
             f.name: np.full((ticks, *(sizes[s] for s in f.metadata["shape"])), np.nan)

@@ -14,7 +14,7 @@ from tactile_hand_ros.scenario.scenario import load_scenario
 
 
 def warm_up() -> None:
-    """Compile everything, unless that was done for these sources."""
+    """Compile everything, unless these sources are already compiled."""
     if not is_complete():
         run_every_block()
         mark_complete()
@@ -22,7 +22,7 @@ def warm_up() -> None:
 
 def run_every_block() -> None:
     """Run all blocks, with contacts that stick and with some that slip."""
-    for name in ("paper", "pull"):  # the plain law, and all that holds against disturbances
+    for name in ("paper", "pull"):  # the plain law, and all defenses against disturbances
         loop = ClosedLoop(load_scenario(name))
         loop.run(3)
     contacts, forces = example_touch(4)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What several nodes use: a log of modes, publishers of touch."""
+"""Parts shared by several nodes: a log of mode changes and publishers of touch."""
 
 from __future__ import annotations
 
@@ -18,28 +18,23 @@ from tactile_hand_ros.ros.node import TactileNode
 Array = NDArray[np.float64]
 
 _MAXIMUM = 5
-"""Lines in a second; more changes are not logged."""
+"""Maximum number of lines per second; further changes are not logged."""
 
 
 class ModeLog:
-    """Logs changes of mode immediately, but no flood of them."""
+    """Logs mode changes immediately, at a limited rate."""
 
     def __init__(
         self, log: Callable[[str], Any], clock: Callable[[], float] = time.monotonic
     ) -> None:
-        """Start without a mode.
-
-        Args:
-            log: Takes a line.
-            clock: Source of time [s].
-        """
+        """Start without a mode; `log` takes a line, `clock` is in seconds."""
         self._log = log
         self._clock = clock
         self._mode = ""
         self._second, self._lines = -1, 0
 
     def note(self, mode: str, reason: str = "") -> None:
-        """Note the mode in force, and why it is; the first one needs no line."""
+        """Log the mode and its reason if it has changed; the first mode is not logged."""
         if mode == self._mode:
             return
         before, self._mode = self._mode, mode
@@ -63,14 +58,7 @@ class ReadingPublisher:
         contacts_topic: str,
         wrench_topic: Callable[[str], str],
     ) -> None:
-        """Create the publishers.
-
-        Args:
-            node: The node that publishes.
-            fingers: Names of the fingers, in the order of the rows.
-            contacts_topic: Topic of the contact frames.
-            wrench_topic: Gives the topic of a finger's force.
-        """
+        """Create the publishers; `wrench_topic` maps a finger's name to the topic of its force."""
         encode = ContactsCodec(len(fingers)).encode
         self._contacts = node.tick_publisher(PoseArray, contacts_topic, encode)
         self._wrenches = WrenchPublishers(node, fingers, wrench_topic)
@@ -89,7 +77,7 @@ class ReadingPublisher:
 
 
 class WrenchPublishers:
-    """Publishes a vector for each finger in its contact frame, as the force of a WrenchStamped."""
+    """Publishes one vector per finger, in its contact frame, as the force of a WrenchStamped."""
 
     def __init__(
         self,
@@ -99,14 +87,7 @@ class WrenchPublishers:
         *,
         nan_allowed: bool = False,
     ) -> None:
-        """Create the publishers.
-
-        Args:
-            node: The node that publishes.
-            fingers: Names of the fingers.
-            topic: Gives the topic of a finger.
-            nan_allowed: Whether NaN is an answer.
-        """
+        """Create the publishers; `topic` maps a finger's name to its topic."""
         self._publishers = []
         for name in fingers:
             codec = WrenchCodec(names.contact_frame(name), nan_allowed=nan_allowed)

@@ -2,13 +2,13 @@
 """Several nodes in one process, wired by direct calls.
 
 `composed` runs plant, sensor, regulator, optimizer and controller, for computers with few cores;
-with ``--record`` the recorder too. `controllers` runs regulator, optimizer and controller for a
-real hand.
+``--record`` adds the recorder. `controllers` runs regulator, optimizer and controller for a real
+hand.
 
-Topics, parameters, services and results are those of separate processes, to the bit. The nodes
-stand around the blocks of a chain from `closed_loop`: each computes with its block and publishes
-the answer, and a message is encoded only if a subscriber or the recorder wants it. What is lost is
-isolation: they all crash together, and the drivers of a real hand must then hold the joints.
+Topics, parameters, services and results match those of separate processes bit for bit. The nodes
+wrap the blocks of a chain from `closed_loop`: each node computes with its block and publishes the
+answer. A message is encoded only for a subscriber or the recorder. The cost is isolation: all nodes
+crash together, and the drivers of a real hand must then hold the joints.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ CONTROLLERS = MEMBERS[2:]
 
 
 class ComposedHand:
-    """The nodes that answer the ticks of the plant in their process."""
+    """The nodes that answer the plant's ticks in its process."""
 
     def __init__(
         self,
@@ -59,7 +59,7 @@ class ComposedHand:
         optimizer: ForceOptimizerNode,
         controller: ManipulationControllerNode,
     ) -> None:
-        """Wire the nodes, which must be made with `composed`."""
+        """Wire the nodes, which must be created with `composed`."""
         self._nodes = sensor, regulator, optimizer, controller
         self._controller = controller
         self._chain = SensingChain(*cast(Any, self._nodes))
@@ -70,9 +70,8 @@ class ComposedHand:
     ) -> Array | None:
         """Return the torque for a tick, shape (m,), N m, and publish all answers.
 
-        Returns:
-            None where a node has failed, or where the torque is better not sent. A tick that is
-            repeated gets its last answer.
+        The result is None if a node failed or the torque must not be sent. A repeated tick gets the
+        same answer again.
         """
         if stamp == self._last[0]:
             for node in self._nodes:
@@ -89,18 +88,18 @@ class ComposedHand:
         return torque
 
     def hold(self, held: bool) -> None:
-        """Note whether the guard holds the joints."""
+        """Set whether the guard holds the joints."""
         self._controller.joints_held = held
 
     def restart(self) -> None:
-        """Start over: time has been set back."""
+        """Start over after time was set back."""
         self._last = -1, None
         for node in self._nodes:
             node.on_restart()
 
 
 class TouchedHand:
-    """The three controllers of a real hand, which get joints and touch from its drivers."""
+    """The three controllers of a real hand, whose drivers provide joints and touch."""
 
     def __init__(
         self,
@@ -108,7 +107,7 @@ class TouchedHand:
         optimizer: ForceOptimizerNode,
         controller: ManipulationControllerNode,
     ) -> None:
-        """Wire the nodes, which must be made with `composed`, and subscribe."""
+        """Wire the nodes, which must be created with `composed`, and subscribe."""
         self._nodes = regulator, optimizer, controller
         self._controller = controller
         self._chain = Chain(*cast(Any, self._nodes))
@@ -131,13 +130,13 @@ class TouchedHand:
         forces: Array,
         palm: Array | None = None,
     ) -> None:
-        """Answer a tick for which everything has arrived."""
+        """Answer a complete tick."""
         if palm is not None:
             self._controller.turn_palm(palm)
         self._chain.answer(stamp, *joints, contacts, forces)
 
     def on_blind_tick(self, stamp: int, joints: Joints, reason: str) -> None:
-        """Hold the hand at a tick for which touch is missing."""
+        """Hold the hand at a tick without touch."""
         self._controller.on_blind_tick(stamp, joints, reason)
 
     def on_repeat(self) -> None:
@@ -146,18 +145,13 @@ class TouchedHand:
             node.on_repeat()
 
     def on_restart(self) -> None:
-        """Forget the past: the stamps have started over."""
+        """Reset the nodes after the timestamps have started over."""
         for node in self._nodes:
             node.on_restart()
 
 
 def composed_nodes(*, record: bool = False, **kwargs: Any) -> Iterator[Node]:
-    """Make all nodes and start them.
-
-    Args:
-        record: Whether there is a recorder, too.
-        **kwargs: For each `rclpy.node.Node`.
-    """
+    """Create and start all nodes, with a recorder if `record`."""
     members: list[Any] = []
     for kind in MEMBERS[:-1]:
         members.append(kind(composed=True, **kwargs))
@@ -175,11 +169,7 @@ def composed_nodes(*, record: bool = False, **kwargs: Any) -> Iterator[Node]:
 
 
 def controller_nodes(**kwargs: Any) -> Iterator[Node]:
-    """Make the nodes of a real hand.
-
-    Args:
-        **kwargs: For each `rclpy.node.Node`.
-    """
+    """Create the nodes of a real hand."""
     members: list[Any] = []
     for kind in CONTROLLERS:
         members.append(kind(composed=True, **kwargs))
@@ -188,11 +178,7 @@ def controller_nodes(**kwargs: Any) -> Iterator[Node]:
 
 
 def main(args: Sequence[str] | None = None) -> int:
-    """Run all nodes until SIGINT or SIGTERM and return the exit code.
-
-    Args:
-        args: Command line; ``--params-file`` may be given once for each node.
-    """
+    """Run all nodes until SIGINT or SIGTERM and return the exit code."""
     line = list(sys.argv if args is None else args)
     record = RECORD in line
     line = [word for word in line if word != RECORD]
@@ -200,9 +186,5 @@ def main(args: Sequence[str] | None = None) -> int:
 
 
 def controllers(args: Sequence[str] | None = None) -> int:
-    """Run the controllers of a real hand until SIGINT or SIGTERM and return the exit code.
-
-    Args:
-        args: Command line; ``--params-file`` may be given once for each node.
-    """
+    """Run the controllers of a real hand until SIGINT or SIGTERM and return the exit code."""
     return run_nodes(controller_nodes, args, described=CONTROLLERS)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Desired poses as they come from users, and as they become the target."""
+"""Desired poses: received from users, and published when they become the target."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ DAY_NS = 86_400_000_000_000
 
 
 def far_ahead(stamp: int, tick: int) -> str:
-    """Return what is wrong with a stamp that is more than a day ahead of a tick [ns]."""
+    """Return the error text for a timestamp more than a day ahead of a tick [ns]."""
     return (
         f"the stamp is {1e-9 * (stamp - tick):.0f} s ahead of the ticks, which are at "
-        f"{1e-9 * tick:.3f} s; use their time, or 0 for immediately."
+        f"{1e-9 * tick:.3f} s; use the time of the ticks, or 0 for immediately."
     )
 
 
@@ -33,7 +33,7 @@ class DesiredPoses:
     """Subscribes to `desired_pose`, and publishes each pose again when it becomes the target.
 
     Attributes:
-        fresh: Poses that came since the last tick, with their stamps [ns].
+        fresh: Poses received since the last tick, with their timestamps [ns].
     """
 
     def __init__(
@@ -42,13 +42,7 @@ class DesiredPoses:
         controller: Controller,
         last_tick: Callable[[], int | None],
     ) -> None:
-        """Create subscription and publisher.
-
-        Args:
-            node: The node.
-            controller: Takes the poses.
-            last_tick: Returns the last tick [ns]; None before the first.
-        """
+        """Create both ends; `last_tick` returns the last tick [ns], or None before the first."""
         self._node, self._controller = node, controller
         self._last_tick = last_tick
         self._codec = PoseCodec(nan_allowed=True)
@@ -57,7 +51,7 @@ class DesiredPoses:
         node.subscribe(PoseStamped, names.DESIRED_POSE, self.take, profile=qos.user_qos(), raw=True)
 
     def take(self, data: bytes) -> None:
-        """Take a serialized pose."""
+        """Decode a pose and send it to the controller."""
         stamp, pose = self._codec.decode(data)
         target = Target.of(*pose)
         last = self._last_tick()
@@ -67,12 +61,12 @@ class DesiredPoses:
         self._controller.command(target, stamp)
         self.fresh.append((target, stamp))
         if self._controller.targets.dropped > dropped:
-            text = f"more than {MAX_WAITING} poses wait for their tick, the earliest is dropped"
+            text = f"more than {MAX_WAITING} poses wait for their tick; the earliest is dropped"
             self._node.reject(names.DESIRED_POSE, text)
             self._node.diagnostics.value("dropped_poses", self._controller.targets.dropped)
 
     def before(self, tick: int) -> None:
-        """Reject poses of another clock that came when the time of the ticks was not known yet."""
+        """Reject poses of another clock that arrived before the first tick [ns]."""
         for stamp in self._controller.targets.forget_after(tick + DAY_NS):
             self._node.reject(names.DESIRED_POSE, far_ahead(stamp, tick))
 
@@ -84,6 +78,6 @@ class DesiredPoses:
         self.fresh.clear()
 
     def command_again(self) -> None:
-        """Give the controller, which has forgotten them, the poses since the last tick again."""
+        """Send the poses since the last tick to the controller again, after its reset."""
         for target, stamp in self.fresh:
             self._controller.command(target, stamp)

@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The force optimizer: how the grasp force is distributed over the fingers, (13).
+"""The force optimizer: distribution of the grasp force over the fingers, (13).
 
-Safe state: where (13) has no answer (a contact is missing, the contacts lie on a line, the normals
-cannot balance) it publishes NaN, never an old answer, and the reason; the controller then holds the
-hand. With `cones` it answers only ticks at which the regulator's estimates have come too; where no
-f* lies inside the learned friction cones it publishes the one that leaves them least, and warns.
-Input that cannot be used is counted and dropped. When it is silent or crashes, the controller holds
-the hand after its `input_timeout`.
+Safe state: if (13) has no solution (a contact is missing, the contacts lie on a line, the normals
+cannot balance), it publishes NaN with the reason, never an old solution, and the controller holds
+the hand. With `cones` it answers only ticks that include the regulator's estimates. If no f* lies
+inside the learned friction cones, it publishes the one closest to them and warns. Invalid input is
+counted and dropped. If the optimizer is silent or crashes, the controller holds the hand after its
+`input_timeout`.
 """
 
 from __future__ import annotations
@@ -34,18 +34,18 @@ from tactile_hand_ros.ros.runner import run_node
 from tactile_hand_ros.ros.ticks import TickInputs
 
 _OUTSIDE = -1e-5
-"""Cone margin below which f* is outside, and not on the edge by the solver's accuracy."""
+"""Cone margin below which f* is outside, beyond the solver's accuracy."""
 
 _SLIPS = (
     "f* under the load is outside the usable friction cones (margin {:.3g} per unit of "
-    "grasp force): a contact may slip; raise the grasp force or take load off"
+    "grasp force): a contact may slip; raise the grasp force or reduce the load"
 )
 
 
 class OptimizerReport:
-    """Counts ticks without an answer and notices when an answer lies outside the friction cones.
+    """Counts ticks without a solution and detects solutions outside the friction cones.
 
-    The optimization keeps a reserve to the cones. That the reserve is used up is no reason to warn.
+    The optimization keeps a reserve to the cones. A used-up reserve is no reason to warn.
     """
 
     def __init__(self, diagnostics: Diagnostics) -> None:
@@ -57,11 +57,11 @@ class OptimizerReport:
         self._outside, self._worst = Mostly(), 0.0
 
     def note(self, optimal: OptimalForces) -> None:
-        """Note the answer of a tick."""
+        """Record the solution of a tick."""
         self._optimal = optimal
         margin = optimal.cone_margin  # NaN: without cones
         self._outside.note(margin < _OUTSIDE)
-        self._worst = min(self._worst, margin)  # which keeps the first where the other is NaN
+        self._worst = min(self._worst, margin)  # min keeps the first if the second is NaN
         self._unanswered += not optimal.ok
         if optimal.reason == self._reason:
             return
@@ -72,7 +72,7 @@ class OptimizerReport:
             self._diagnostics.fault("optimization", optimal.reason)
 
     def report(self) -> None:
-        """Put how the last tick was solved into the diagnostics."""
+        """Add the last solution to the diagnostics."""
         put, optimal = self._diagnostics.value, self._optimal
         put("unanswered_ticks", self._unanswered)
         if optimal is None:
@@ -88,31 +88,26 @@ class OptimizerReport:
 
 
 class ForceOptimizerNode(TactileNode[ForceOptimizerConfig]):
-    """Publishes the optimal normalised forces f* of each tick.
+    """Publishes the optimal normalized forces f* of each tick.
 
-    Subscriptions: `tactile/contacts` (geometry_msgs/PoseArray, palm frame, m). With `cones` also,
-    of the same stamp: `load/<finger>` (geometry_msgs/WrenchStamped in `<finger>_contact`, N),
+    Subscriptions: `tactile/contacts` (geometry_msgs/PoseArray, palm frame, m). Only with `cones`,
+    with the same timestamp: `load/<finger>` (geometry_msgs/WrenchStamped in `<finger>_contact`, N),
     `grip_margin` (sensor_msgs/JointState by finger: usable friction, reserve in N) and
-    `grasp_force` (geometry_msgs/WrenchStamped, k_f in force.y, N); without, they would only cost
-    time.
+    `grasp_force` (geometry_msgs/WrenchStamped, k_f in force.y, N).
 
     Publications: `optimal_force/<finger>` (geometry_msgs/WrenchStamped in `<finger>_contact`,
-    without unit, the normal components sum up to 1; NaN without an answer; stamp of the input).
+    dimensionless, normal components sum to 1; NaN without a solution; timestamp of the input).
     `accepted/force_optimizer/parameters` (rcl_interfaces/ParameterEvent: the configuration in
     force, stamped with its first tick). Once a second: `/diagnostics` with status, residual,
     iterations and time of the solver, and with `cones` the margin that certifies f* (the minimum
-    mu f_n - |f_t| per unit of grasp force) and whether the cones have shaped it.
+    mu f_n - |f_t| per unit of grasp force) and whether the cones shaped it.
 
     Parameters: the fields of `ForceOptimizerConfig`; weights, `minimum_normal` and times are live.
-    When the stamps jump back, the solver forgets its last answer and the load.
+    When the timestamps jump back, the solver discards its last solution and the load.
     """
 
     def __init__(self, *, composed: bool = False, **kwargs: Any) -> None:
-        """Set up the problem.
-
-        Args:
-            composed: Whether a chain in this process calls `step`, so that no ticks are received.
-            **kwargs: For `rclpy.node.Node`.
+        """Set up the problem; with `composed` a chain calls `step` and no ticks are received.
 
         Raises:
             TactileHandError: If a parameter is rejected or there is no such hand.
@@ -148,7 +143,7 @@ class ForceOptimizerNode(TactileNode[ForceOptimizerConfig]):
         config.check_minimum(self._fingers)
 
     def on_config(self, config: ForceOptimizerConfig) -> None:
-        """Take other weights or another minimum fraction."""
+        """Apply changed weights, minimum fraction or times."""
         self._optimizer.configure(config)
         self._changes.configuration(config)
 
@@ -157,7 +152,7 @@ class ForceOptimizerNode(TactileNode[ForceOptimizerConfig]):
         self._report.report()
 
     def on_restart(self) -> None:
-        """Start over with the ticks."""
+        """Reset when the ticks start over."""
         self._optimizer.reset()
         self._changes.begin(self.config)
 
@@ -177,7 +172,7 @@ class ForceOptimizerNode(TactileNode[ForceOptimizerConfig]):
         return optimal
 
     def on_tick(self, stamp: int, contacts: Contacts, *estimates: Any) -> None:
-        """Answer a tick for which everything has arrived."""
+        """Answer a complete tick."""
         if estimates:
             load, margins, grasp_force = estimates
             self.step(stamp, contacts, CarriedLoad(load, *margins), grasp_force)

@@ -1,14 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """The manipulation controller: joint torques that hold and move the object.
 
-Safe state: posture and last good grasp force are held when f*, k_f, too many contacts or, where the
-load is observed, a force is missing or NaN, and, with the names of the missing inputs in
-`/diagnostics`, when joint states come without them for `input_timeout`. The hold stops by itself
-when all inputs of a tick are there again. A desired pose that is malformed or out of reach is
-counted and dropped, and the old one stays. Without joint states it is silent; then, and when it
-crashes, the plant (or the drivers of a real hand) must hold the joints. Disabled by the user it
-only damps. A tick at which anything else fails, or that would give a torque which is not finite, is
-answered with the hold too. No torque exceeds the effort limits of the URDF.
+Safe state: it holds the posture and the last good grasp force if f*, k_f, too many contacts or,
+with an observed load, a force is missing or NaN. It also holds if joint states come without the
+other inputs for `input_timeout`; `/diagnostics` then names the missing inputs. The hold ends when a
+tick is complete again. A malformed or unreachable desired pose is counted and dropped, and the
+target stays. Without joint states the controller is silent. Then, and when it crashes, the plant
+(or the drivers of a real hand) must hold the joints. Disabled by the user, it only damps. A tick
+that fails for any other reason, or would give a non-finite torque, is answered with the hold too.
+No torque exceeds the effort limits of the URDF.
 """
 
 from __future__ import annotations
@@ -49,10 +49,10 @@ _AT_LIMIT = "a joint is at the effort limit of the URDF; lower the grasp force o
 
 
 class ControllerReport:
-    """Keeps faults and values up to date; costs next to nothing while all is well."""
+    """Updates faults and values; nearly free while nothing changes."""
 
     def __init__(self, node: TactileNode[Any], hand: Hand) -> None:
-        """Report with the diagnostics of a node on the grasp of a hand."""
+        """Report on the grasp of a hand in the diagnostics of a node."""
         self._node = node
         self._watch = GraspMonitor(hand)
         self._modes = ModeLog(node.get_logger().info)
@@ -67,7 +67,7 @@ class ControllerReport:
     def note(
         self, command: Command, theta: Array | None = None, contacts: Contacts | None = None
     ) -> None:
-        """Note an answer, and the joints and contacts that it saw; none when they had not come."""
+        """Record an answer with its joints and contacts, None if they were missing."""
         last, self._last, self._contacts = self._last, command, contacts
         self._theta = theta
         if last is not None and (command.mode, command.reason) == (last.mode, last.reason):
@@ -75,17 +75,17 @@ class ControllerReport:
         self._modes.note(command.mode.value, command.reason)
         diagnostics = self._node.diagnostics
         if command.mode is Mode.HOLD:
-            if contacts is not None:  # that inputs are missing is reported already
+            if contacts is not None:  # missing inputs are already reported
                 diagnostics.fault("hold", command.reason)
         elif command.mode in (Mode.DISABLED, Mode.OPEN):
             diagnostics.fault("hold", command.reason, WARN)
         else:
             diagnostics.clear("hold")
-            if command.reason:  # a pose for later whose time has come
+            if command.reason:  # a rejected pose whose tick has come
                 self._node.reject(names.DESIRED_POSE, command.reason)
 
     def report(self, target: Target | None) -> None:
-        """Put mode, distance to the target and the margins of the grasp into the diagnostics."""
+        """Add mode, distance to the target and margins of the grasp to the diagnostics."""
         put, last = self._node.diagnostics.value, self._last
         if last is not None:
             put("mode", last.mode.value)
@@ -109,32 +109,33 @@ class ManipulationControllerNode(TactileNode[ControllerConfig]):
 
     Subscriptions: `joint_states` (sensor_msgs/JointState, rad and rad/s), `tactile/contacts`
     (geometry_msgs/PoseArray, palm frame, m), `grasp_force` (geometry_msgs/WrenchStamped, k_f in
-    force.y, N), `optimal_force/<finger>` (geometry_msgs/WrenchStamped in `<finger>_contact`, f*
-    without unit), with `law.observer.time` > 0 also `tactile/<finger>/wrench`
-    (geometry_msgs/WrenchStamped in `<finger>_contact`, N), all of one stamp; `desired_pose`
-    (geometry_msgs/PoseStamped, frame `palm`, m; from the tick in its stamp on, immediately when
-    that is past or 0).
+    force.y, N), `optimal_force/<finger>` (geometry_msgs/WrenchStamped in `<finger>_contact`, f*,
+    dimensionless), with `law.observer.time` > 0 also `tactile/<finger>/wrench`
+    (geometry_msgs/WrenchStamped in `<finger>_contact`, N), all with the same timestamp;
+    `desired_pose` (geometry_msgs/PoseStamped, frame `palm`, m; takes effect at the tick in its
+    timestamp, immediately if that is past or 0).
 
-    Publications, with the stamps of the input: `joint_command` (sensor_msgs/JointState, effort,
+    Publications, with the timestamp of the input: `joint_command` (sensor_msgs/JointState, effort,
     N m), `auxiliary_pose` (geometry_msgs/PoseStamped, palm frame, m: centroid and virtual frame
-    of the contacts; not while holding). With the stamp of the first tick that they change:
-    `accepted/desired_pose` (geometry_msgs/PoseStamped, frame `palm`, m) and what `AppliedChanges`
-    lists. At each change, latched: `touch_rejected` (std_msgs/Bool, whether joints and touch
-    contradict each other, so that regulator and optimizer must not learn from touch). Once a
+    of the contacts; not while holding). With the timestamp of the first tick that they change:
+    `accepted/desired_pose` (geometry_msgs/PoseStamped, frame `palm`, m) and the topics of
+    `AppliedChanges`. At each change, latched: `touch_rejected` (std_msgs/Bool, whether joints and
+    touch contradict each other, so that regulator and optimizer must not learn from touch). Once a
     second: `/diagnostics` with mode, distance to the target and margins of A1 (travel on faces),
     A2 (tips' rims), A5 (joints) and A7 (contacts).
 
-    At most 1000 poses wait for their tick; of more the earliest are dropped and counted as
-    `dropped_poses`. A pose that is stamped more than a day ahead of the ticks is rejected, at the
-    latest when the first of them comes.
+    At most 1000 poses wait for their tick; beyond that, the earliest are dropped and counted as
+    `dropped_poses`. A pose stamped more than a day ahead of the ticks is rejected, at the latest at
+    the first tick.
 
-    Services: `~/reset` (std_srvs/Trigger) forgets grasp, targets and integral, while open or
-    closing fingers stay so; a jump back of the stamps forgets that too. By std_srvs/SetBool:
-    `~/enable`, the law or mere damping, and `~/grasp`, close the fingers until all touch and hold
-    that, or open them.
+    Services: `~/reset` (std_srvs/Trigger) discards grasp, targets and integral, but fingers stay
+    open or continue to close; timestamps that jump back reset these too. By std_srvs/SetBool:
+    `~/enable` selects the law or mere damping, and `~/grasp` closes the fingers until all touch and
+    then holds, or opens them.
 
-    Parameters: the fields of `ControllerConfig`; gains are live, the law is not. A controller that
-    was started with `law.observer.time` 0 rejects another value: it does not subscribe to forces.
+    Parameters: the fields of `ControllerConfig`; gains are live, the law is not. A controller
+    started with `law.observer.time` 0 rejects other values, because it does not subscribe to
+    forces.
     """
 
     def __init__(self, *, composed: bool = False, time_waits: bool = False, **kwargs: Any) -> None:
@@ -143,8 +144,8 @@ class ManipulationControllerNode(TactileNode[ControllerConfig]):
         Args:
             composed: Whether a chain in this process calls `step` and sets `joints_held`, so that
                 neither ticks nor `joint_hold` are received.
-            time_waits: Whether time is known to wait for each answer, so that none is better not
-                sent. Without a chain this shows when a tick is repeated.
+            time_waits: Whether time waits for each answer, so that every answer must be sent.
+                Without a chain, a repeated tick shows this.
             **kwargs: For `rclpy.node.Node`.
 
         Raises:
@@ -170,7 +171,7 @@ class ManipulationControllerNode(TactileNode[ControllerConfig]):
         self._pose_publisher = self.tick_publisher(
             PoseStamped, names.AUXILIARY_POSE, self._encoded_pose
         )
-        # First, so that of a pose and a tick that wait together the pose is handled first.
+        # Created first, so that a waiting pose is handled before a waiting tick.
         self._desired = DesiredPoses(self, self._controller, lambda: self._tick)
         self._rejection = self.create_publisher(Bool, names.TOUCH_REJECTED, qos.latched_qos())
         self._rejection.publish(Bool(data=False))
@@ -220,12 +221,12 @@ class ManipulationControllerNode(TactileNode[ControllerConfig]):
         return self._controller.touch_rejected
 
     def turn_palm(self, orientation: Array) -> None:
-        """Let gravity act as the palm lies; see `Controller.turn_palm`."""
+        """Set the palm's orientation for gravity compensation; see `Controller.turn_palm`."""
         self._controller.turn_palm(orientation)
 
     @property
     def joints_held(self) -> bool:
-        """Whether a guard holds the joints, so that no torque from here reaches them."""
+        """Whether a guard holds the joints, so that no torque of this node reaches them."""
         return self._controller.joints_held
 
     @joints_held.setter
@@ -234,7 +235,7 @@ class ManipulationControllerNode(TactileNode[ControllerConfig]):
         self._changes.state(names.JOINT_HOLD, held)
 
     def check_config(self, config: ControllerConfig) -> None:
-        """Reject observing a load without forces."""
+        """Reject a load observer without forces."""
         if config.law.observer.time > 0.0 and not self._takes_forces:
             raise ConfigurationError(
                 f"law.observer.time = {config.law.observer.time}: the controller was started with "
@@ -243,12 +244,12 @@ class ManipulationControllerNode(TactileNode[ControllerConfig]):
             )
 
     def on_config(self, config: ControllerConfig) -> None:
-        """Take other gains."""
+        """Apply changed gains."""
         self._controller.configure(config)
         self._changes.configuration(config)
 
     def on_rejected(self, source: str, reason: str) -> None:
-        """Publish why a command was rejected."""
+        """Publish the reason for rejecting a command."""
         self._changes.rejected(source, reason)
 
     def on_report(self) -> None:
@@ -267,7 +268,7 @@ class ManipulationControllerNode(TactileNode[ControllerConfig]):
         self._controller.forget()
         self._start_over()
         self._changes.request("reset")
-        response.success, response.message = True, "grasp, targets and integral are forgotten"
+        response.success, response.message = True, "discarded grasp, targets and integral"
         return response
 
     def _on_enable(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
@@ -287,7 +288,7 @@ class ManipulationControllerNode(TactileNode[ControllerConfig]):
             return response
         self._changes.request("grasp", request.data)
         if request.data and not self._controller.is_open:
-            response.success, response.message = True, "the hand is not open, nothing to close"
+            response.success, response.message = True, "the hand is not open"
         else:
             response.success, response.message = True, "closing" if request.data else "opening"
         return response
@@ -302,7 +303,7 @@ class ManipulationControllerNode(TactileNode[ControllerConfig]):
         forces: Array | None = None,
         palm: Array | None = None,
     ) -> None:
-        """Answer a tick for which everything has arrived."""
+        """Answer a complete tick."""
         if palm is not None:
             self.turn_palm(palm)
         theta, rates, applied = joints
@@ -322,7 +323,7 @@ class ManipulationControllerNode(TactileNode[ControllerConfig]):
         """Publish and return the answer to a tick; see `Controller.step`.
 
         Raises:
-            TickFailedError: If this and the hold that should take its place have failed.
+            TickFailedError: If both this and the hold in its place failed.
         """
         self._answer = None
         try:
@@ -342,10 +343,10 @@ class ManipulationControllerNode(TactileNode[ControllerConfig]):
         return command
 
     def _safe_answer(self, stamp: int, joints: Joints, failure: TickFailedError) -> Command:
-        """Return what was answered before a failure; without an answer, hold the hand.
+        """Return the answer sent before a failure; if there is none, hold the hand.
 
         Raises:
-            TickFailedError: If that fails, too.
+            TickFailedError: If the hold fails too.
         """
         if self._answer is None:
             self.guarded("safe state", self.on_blind_tick)(stamp, joints, str(failure))
@@ -354,13 +355,13 @@ class ManipulationControllerNode(TactileNode[ControllerConfig]):
         return self._answer[1]
 
     def _publish_rejection(self) -> None:
-        """Publish whether joints and touch do not fit each other, where that has changed."""
+        """Publish whether joints and touch contradict each other, if that has changed."""
         if self._controller.touch_rejected != self._was_rejected:
             self._was_rejected = self._controller.touch_rejected
             self._rejection.publish(Bool(data=self._was_rejected))
 
     def on_blind_tick(self, stamp: int, joints: Joints, reason: str) -> None:
-        """Hold the hand at a tick for which inputs are missing."""
+        """Hold the hand at a tick with missing inputs."""
         command = self._controller.hold(
             joints.theta, joints.rates, reason, applied=joints.applied, stamp=stamp
         )
@@ -370,14 +371,14 @@ class ManipulationControllerNode(TactileNode[ControllerConfig]):
         self._report.note(command)
 
     def on_repeat(self) -> None:
-        """Give the last answer again, or that which was not sent: in lockstep time waits for it."""
+        """Publish the last answer again, or the unsent one: in lockstep, time waits for it."""
         self._time_waits = self._is_unsent
         if self._answer is not None:
             stamp, command = self._answer
             self._command_publisher.publish(stamp, command.torque)
 
     def on_restart(self) -> None:
-        """Start over with the ticks; poses that came together with the first one are for it."""
+        """Reset when the ticks start over; keep poses that came with the first tick."""
         self._controller.reset()
         self._start_over()
 
@@ -387,10 +388,7 @@ class ManipulationControllerNode(TactileNode[ControllerConfig]):
         self._desired.command_again()
 
     def _send(self, stamp: int, command: Command) -> Command:
-        """Publish an answer inside the limits of the joints, unless it is better not sent.
-
-        Returns:
-            What was published or may be asked for again.
+        """Publish an answer within the joint limits unless it must not be sent, and return it.
 
         Raises:
             UnsafeOutputError: If a torque is not finite.
@@ -413,7 +411,7 @@ class ManipulationControllerNode(TactileNode[ControllerConfig]):
         return self._encode_pose(pose.position, quaternion_from_rotation(pose.orientation), stamp)
 
     def _limited(self, torque: Array) -> Array:
-        """Return a torque inside the joints' effort limits, and warn where it was not."""
+        """Clip a torque to the joints' effort limits, and warn if it exceeds them."""
         is_over = bool((np.abs(torque) > self._limits).any())
         if is_over:
             self.diagnostics.fault("torque", _AT_LIMIT, WARN)

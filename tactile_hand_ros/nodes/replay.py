@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Replay of a bag: its bytes on its topics, with its timing, for machines without rosbag2."""
+"""Replay of a bag with its topics, bytes and timing, for machines without rosbag2."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from tactile_hand_ros.ros.middleware import graph_node, ros_context
 
 _DEPTH = 1000  # messages that a publisher keeps for slow subscribers
 _LOOK = 0.1  # s between two calls of `watch`
-_LAST_CALL = Duration(seconds=1)  # longest wait for subscribers to take the last messages
+_LAST_CALL = Duration(seconds=1)  # maximum wait for subscribers to take the last messages
 
 
 class Replay:
@@ -32,7 +32,7 @@ class Replay:
 
     Attributes:
         publishers: The publishers, by the name of the topic in the bag.
-        skipped: Topics that cannot be published, and why.
+        skipped: Topics that cannot be published, with the reason.
         duration: Length of the bag [s].
         position: Time in the bag of the last message, s after the first.
         messages: Number of messages published.
@@ -41,13 +41,7 @@ class Replay:
     def __init__(
         self, node: Node, reader: AnyReader, selection: TopicSelection, namespace: str = ""
     ) -> None:
-        """Create the publishers.
-
-        Args:
-            node: Owner of the publishers.
-            reader: An open bag.
-            selection: The topics to publish.
-            namespace: Put before all names of topics.
+        """Create the publishers of the selected topics; `namespace` is prepended to their names.
 
         Raises:
             BagError: If no topic is left to publish.
@@ -75,12 +69,7 @@ class Replay:
         return self._node.create_publisher(message_class(recorded[0].msgtype), name, profile)
 
     def run(self, rate: float = 1.0, watch: Callable[[], None] = lambda: None) -> None:
-        """Publish until the end.
-
-        Args:
-            rate: Seconds of the bag per second of wall time.
-            watch: Called ten times a second.
-        """
+        """Publish until the end at `rate` times the recorded speed; call `watch` every 0.1 s."""
         began, pause = time.monotonic(), threading.Event()
         chosen = [c for c in self._connections if c.topic in self.publishers]
         for connection, log_time, data in iterate(self._reader, chosen):
@@ -97,10 +86,10 @@ class Replay:
 
 
 def offered_qos(offers: Sequence[Any], count: int) -> QoSProfile:
-    """Return the quality of service to publish with, from profiles as rosbags gives them.
+    """Return the quality of service to publish with, from the profiles of a bag.
 
-    That of the recorded publishers where all offered the same, otherwise reliable and volatile.
-    Bags do not contain the depth: here it is 1000, or of a latched topic its number of messages.
+    It is that of the recorded publishers if all offered the same, otherwise reliable and volatile.
+    Bags do not store the depth. It is 1000, or for latched topics at most the number of messages.
 
     Source: ``Rosbag2QoS::adapt_offer_to_recorded_offers`` of rosbag2.
     """
@@ -117,7 +106,7 @@ def offered_qos(offers: Sequence[Any], count: int) -> QoSProfile:
 
 @contextmanager
 def replaying(bag: Path, selection: TopicSelection, namespace: str) -> Iterator[Replay]:
-    """Open a bag for replay by a node of its own; signals are left to the caller.
+    """Open a bag for replay by its own node, without signal handlers.
 
     Raises:
         BagError: If the bag cannot be replayed.

@@ -1,14 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """The slip regulator: the grasp force k_f.
 
-Safe state: it gives k_f only for ticks at which contacts and every finger's force have come, in
-every mode; a finger that is silent or sends NaN leaves the tick without k_f, and the controller
-holds the hand. Where a finger that the grasp needs has lost contact, the slip response doubles k_f
-once, and k_f follows the load that the others show. k_f never exceeds `maximum`; that it is at this
-limit, or that no grasp force can hold, is a warning in `/diagnostics`. A request of the user
-outside the limits is counted and dropped, and k_f stays. When the node crashes, the controller
-holds the last grasp force; a new node starts at the configured k_f, or outside mode user at the
-measured one where that is larger, and has to learn the friction again.
+Safe state: in every mode it publishes k_f only for ticks with contacts and a force from every
+finger. A finger that is silent or sends NaN leaves the tick without k_f, and the controller holds
+the hand. If a finger that the grasp needs loses contact, the slip response doubles k_f once, and
+k_f follows the load on the other fingers. k_f never exceeds `maximum`. `/diagnostics` warns if k_f
+is at this limit, or if no grasp force can hold. A user request outside the limits is counted and
+dropped, and k_f stays. If the node crashes, the controller holds the last grasp force. A new node
+starts at the configured k_f, or outside mode `user` at the measured one if that is larger, and must
+learn the friction again.
 """
 
 from __future__ import annotations
@@ -48,13 +48,13 @@ from tactile_hand_ros.ros.runner import run_node
 from tactile_hand_ros.ros.ticks import TickInputs
 
 HAPTIC_PERIOD_NS = 20_000_000
-"""Simulated time between two messages to the user's hand [ns]: actuators take 50 Hz."""
+"""Simulated time between two haptic messages [ns]; actuators run at 50 Hz."""
 
 Array = NDArray[np.float64]
 
 
 class GripState(NamedTuple):
-    """What the regulator has estimated of each contact, arrays of shape (k,)."""
+    """The regulator's estimates for each contact, arrays of shape (k,)."""
 
     friction: NDArray[np.float64]
     evidence: NDArray[np.float64]
@@ -62,13 +62,13 @@ class GripState(NamedTuple):
 
 
 class RegulatorReport:
-    """Reports the grip of each finger and notices when no permitted grasp force can hold.
+    """Reports the grip of each finger and detects when no permitted grasp force can hold.
 
-    What the object needs is a matter of the modes `shared` and `auto`; in `user` the user decides.
+    It warns in the modes `shared` and `auto` only; in `user` the user decides.
     """
 
     def __init__(self, diagnostics: Diagnostics, fingers: Sequence[str]) -> None:
-        """Report on the fingers of these names."""
+        """Create a report on fingers with these names."""
         self._diagnostics = diagnostics
         self._fingers = tuple(fingers)
         self.reset()
@@ -86,17 +86,17 @@ class RegulatorReport:
         forces: NDArray[np.float64],
         state: GripState,
     ) -> None:
-        """Note a tick: what was measured, in contact frames, and what the regulator made of it."""
+        """Record a tick: measurements in contact frames and the regulator's estimates."""
         self._watch.note(stamp, contacts, forces, state.friction, state.grip, state.evidence)
         is_automatic = regulator.config.mode != "user"
-        # At the limit because of a slip that is over, nothing is missing.
+        # k_f may be at the limit because of a past slip; that is no reason to warn.
         self._limited.note(is_automatic and regulator.config.maximum < regulator.needed < math.inf)
         self._unholdable.note(is_automatic and math.isinf(regulator.needed))
         if math.isfinite(regulator.needed):
             self._maximum_needed = max(self._maximum_needed, regulator.needed)
 
     def report(self, regulator: SlipRegulator) -> None:
-        """Put mode, grasp forces and the grip of each finger into the diagnostics."""
+        """Add mode, grasp forces and the grip of each finger to the diagnostics."""
         put = self._diagnostics.value
         put("mode", regulator.config.mode)
         put("grasp_force_n", regulator.grasp_force)
@@ -127,56 +127,54 @@ class RegulatorReport:
             "limit",
             self._limited(),
             f"the object needs a grasp force of {needed:.3g} N, but the limit is {maximum:g} N; "
-            "raise 'maximum' if the object can bear it, or take load off",
+            "raise 'maximum' if the object can bear it, or reduce the load",
             WARN,
         )
         self._diagnostics.judge(
             "shape",
             self._unholdable(),
-            "no grasp force of this distribution can hold: a contact leaves its friction cone "
-            "however large k_f is; let the force_optimizer reshape it ('cones') or take load off",
+            "no grasp force of this distribution can hold: a contact leaves its friction cone at "
+            "any k_f; let the force_optimizer reshape it ('cones') or reduce the load",
             WARN,
         )
 
 
 class SlipRegulatorNode(TactileNode[SlipRegulatorConfig]):
-    """Publishes the grasp force k_f, and how well each finger grips, at each tick.
+    """Publishes the grasp force k_f and the grip of each finger at each tick.
 
     Subscriptions: `tactile/contacts` (geometry_msgs/PoseArray, palm frame, m),
-    `tactile/<finger>/wrench` (geometry_msgs/WrenchStamped in `<finger>_contact`, N), both of one
-    stamp; `user_grasp_force` (std_msgs/Float64, the k_f that the user asks for, N);
+    `tactile/<finger>/wrench` (geometry_msgs/WrenchStamped in `<finger>_contact`, N), both with the
+    same timestamp; `user_grasp_force` (std_msgs/Float64, the k_f that the user requests, N);
     `touch_rejected` and `joint_hold` (std_msgs/Bool, whether the controller rejects touch, and
     whether a guard holds the joints).
 
-    Publications, with the stamps of the input: `grasp_force` (geometry_msgs/WrenchStamped, k_f in
-    force.y, N), `grip_state` (sensor_msgs/JointState by finger: learned friction, evidence for slip
-    0 to 1, `ContactState`), `load/<finger>` (geometry_msgs/WrenchStamped in `<finger>_contact`,
-    what the contact carries, N; NaN without a grasp), `grip_margin` (sensor_msgs/JointState by
-    finger: usable friction, load that may come on top in N). Every 20 ms of simulated time:
-    `haptic_feedback` (sensor_msgs/JoyFeedbackArray: id 0 grip as a fraction of the maximum, id 1
-    the strongest evidence for slip since the last one, both 0 to 1). With the stamp of the first
-    tick that they change: `accepted/user_grasp_force` (geometry_msgs/WrenchStamped, an accepted k_f
-    in force.y, N) and what `AppliedChanges` lists. Once a second: `/diagnostics` with mode, k_f,
-    the one that the object needs, friction and grip of each finger, and the worst margins of that
-    second: A3 (load), A4 (evidence left before an alarm, distance to the estimated cones), A6 (time
-    left to stop a slip).
+    Publications, with the timestamp of the input: `grasp_force` (geometry_msgs/WrenchStamped, k_f
+    in force.y, N), `grip_state` (sensor_msgs/JointState by finger: learned friction, evidence for
+    slip 0 to 1, `ContactState`), `load/<finger>` (geometry_msgs/WrenchStamped in
+    `<finger>_contact`, load of the contact, N; NaN without a grasp), `grip_margin`
+    (sensor_msgs/JointState by finger: usable friction, reserve for additional load in N). Every
+    20 ms of simulated time: `haptic_feedback` (sensor_msgs/JoyFeedbackArray: id 0 grip as a
+    fraction of the maximum, id 1 the strongest evidence for slip since the last message, both 0 to
+    1). With the timestamp of the first tick that they change: `accepted/user_grasp_force`
+    (geometry_msgs/WrenchStamped, an accepted k_f in force.y, N) and the topics of `AppliedChanges`.
+    Once a second: `/diagnostics` with mode, k_f, the k_f that the object needs, friction and grip
+    of each finger, and the worst margins of that second: A3 (load), A4 (evidence left before an
+    alarm, distance to the estimated cones), A6 (time left to stop a slip).
 
-    A node that is late answers the newest ticks only, but uses all of them.
+    A node that lags answers only the newest ticks, but processes all of them.
 
-    Service: `~/reset` (std_srvs/Trigger) goes back to the configured k_f and forgets what was
-    learned, as a jump back of the stamps does.
+    Service: `~/reset` (std_srvs/Trigger) returns to the configured k_f and discards all estimates,
+    as timestamps that jump back do.
 
     Parameters: the fields of `SlipRegulatorConfig`; all but `hand` and `grasp_force` are live. The
-    mode may change at any time: k_f continues from where it is.
+    mode may change at any time; k_f then continues from its current value.
     """
 
     def __init__(self, *, composed: bool = False, **kwargs: Any) -> None:
         """Build the regulator.
 
-        Args:
-            composed: Whether a chain in this process calls `step`, `reject_touch` and sets
-                `joints_held`, so that none of that is received.
-            **kwargs: For `rclpy.node.Node`.
+        With `composed`, a chain in this process calls `step` and `reject_touch` and sets
+        `joints_held`, so the node does not subscribe to these inputs.
 
         Raises:
             TactileHandError: If a parameter is rejected or there is no such hand.
@@ -222,7 +220,7 @@ class SlipRegulatorNode(TactileNode[SlipRegulatorConfig]):
 
     @property
     def carried(self) -> CarriedLoad:
-        """What f* is made for; see `SlipRegulator`."""
+        """The load that f* must carry; see `SlipRegulator`."""
         return self._regulator.carried
 
     def _rehearse(self, fingers: int) -> None:
@@ -233,21 +231,21 @@ class SlipRegulatorNode(TactileNode[SlipRegulatorConfig]):
         self.on_restart()
 
     def on_config(self, config: SlipRegulatorConfig) -> None:
-        """Take another mode, other limits and rates."""
+        """Apply a changed mode, limits and rates."""
         self._modes.note(config.mode)
         self._regulator.configure(config)
         self._changes.configuration(config)
 
     def on_rejected(self, source: str, reason: str) -> None:
-        """Publish why a command was rejected."""
+        """Publish the reason for rejecting a command."""
         self._changes.rejected(source, reason)
 
     def on_report(self) -> None:
-        """Report k_f and what was learned of the contacts."""
+        """Report k_f and the estimates for the contacts."""
         self._report.report(self._regulator)
 
     def on_restart(self) -> None:
-        """Start over with the ticks."""
+        """Reset when the ticks start over."""
         self._regulator.reset()
         self._report.reset()
         self._changes.begin(self.config)
@@ -258,7 +256,7 @@ class SlipRegulatorNode(TactileNode[SlipRegulatorConfig]):
         self._changes.add(self._force_publisher, partial(self._encode, (0.0, force, 0.0)))
 
     def reject_touch(self, rejected: bool) -> None:
-        """Note whether the controller rejects touch; nothing is learned from it then."""
+        """Set whether the controller rejects touch; the regulator then does not learn from it."""
         if self._changes.state(names.TOUCH_REJECTED, rejected):
             self._regulator.reject_touch(rejected)
 
@@ -304,19 +302,19 @@ class SlipRegulatorNode(TactileNode[SlipRegulatorConfig]):
     on_tick = step
 
     def observe(self, stamp: int, contacts: Contacts, forces: Array) -> None:
-        """Use a tick that is too late to be answered: a slip shows in the samples in a row."""
+        """Process a skipped tick, because slip detection needs every sample."""
         self._regulator.step(stamp, contacts, forces)
         self._changes.take_effect(stamp)
 
     def _checked(self, grasp_force: float) -> float:
-        """Return a grasp force that may be published.
+        """Return the grasp force if it may be published.
 
         Raises:
-            UnsafeOutputError: If it is not from 0 to the limit; the tick stays without k_f.
+            UnsafeOutputError: If it is outside 0 to the limit; the tick then gets no k_f.
         """
         if not 0.0 <= grasp_force <= self.config.maximum:
             raise UnsafeOutputError(
-                f"k_f = {grasp_force} N is not from 0 to {self.config.maximum} N and was not "
+                f"k_f = {grasp_force} N is outside 0 to {self.config.maximum} N and was not "
                 "published; call ~/reset"
             )
         return grasp_force

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The tactile sensor: what a skin would measure of the true contacts.
+"""The tactile sensor: simulated skin readings of the true contacts.
 
 Safe state: without true contacts, forces and sliding it is silent, and the controller holds the
-hand. Input that cannot be used (NaN in a force, a wrong frame) is counted and dropped, so that its
-tick stays without an answer. Nothing that it publishes states slip: it shows in the vibration
-of the forces only. When it crashes, nodes that wait for touch notice the silence.
+hand. Invalid input (NaN in a force, a wrong frame) is counted and dropped, and its tick gets no
+answer. Its messages have no field for slip; a slip shows only as vibration of the forces. If it
+crashes, nodes that wait for touch detect the silence.
 """
 
 from __future__ import annotations
@@ -35,24 +35,20 @@ class TactileSensorNode(TactileNode[TactileSensorConfig]):
 
     Subscriptions: `ground_truth/contacts` (geometry_msgs/PoseArray, palm frame, m),
     `ground_truth/<finger>/wrench` (geometry_msgs/WrenchStamped, contact frame, N),
-    `ground_truth/slip` (sensor_msgs/JointState by finger, of which the sliding speed counts, m/s),
-    all of one stamp. With errors of `calibration` also `joint_states` (sensor_msgs/JointState,
-    rad).
+    `ground_truth/slip` (sensor_msgs/JointState by finger; only the sliding speed is used, m/s), all
+    with the same timestamp. With errors of `calibration` also `joint_states`
+    (sensor_msgs/JointState, rad).
 
-    Publications, with the stamps of the input: `tactile/contacts` (geometry_msgs/PoseArray, palm
-    frame, m; NaN where a finger does not touch), `tactile/<finger>/wrench`
+    Publications, with the timestamp of the input: `tactile/contacts` (geometry_msgs/PoseArray, palm
+    frame, m; NaN for fingers without contact), `tactile/<finger>/wrench`
     (geometry_msgs/WrenchStamped in `<finger>_contact`, N). Once a second: `/diagnostics`.
 
     Parameters: the fields of `TactileSensorConfig`; noise, resolution, vibration and dropout are
-    live. When the stamps jump back, noise starts again from its seed.
+    live. When the timestamps jump back, noise restarts from its seed.
     """
 
     def __init__(self, *, composed: bool = False, **kwargs: Any) -> None:
-        """Build the sensor.
-
-        Args:
-            composed: Whether a chain in this process calls `step`, so that no ticks are received.
-            **kwargs: For `rclpy.node.Node`.
+        """Build the sensor; with `composed` a chain calls `step` and no ticks are received.
 
         Raises:
             TactileHandError: If a parameter is rejected or there is no such hand.
@@ -67,7 +63,7 @@ class TactileSensorNode(TactileNode[TactileSensorConfig]):
         )
         known = None
         if not self.config.calibration.is_right:
-            # Only a skin that is miscalibrated needs the model, which takes long to load.
+            # Only a miscalibrated skin needs the hand model, which is slow to load.
             from tactile_hand_ros.hand.hand import Hand
 
             known = Hand.load(self.config.hand, self.config.layout)
@@ -86,11 +82,11 @@ class TactileSensorNode(TactileNode[TactileSensorConfig]):
         self._sensor.reset()
 
     def on_config(self, config: TactileSensorConfig) -> None:
-        """Take other noise."""
+        """Apply changed noise."""
         self._sensor.configure(config)
 
     def on_restart(self) -> None:
-        """Start over with the ticks: noise repeats from its seed."""
+        """Reset when the ticks start over; noise restarts from its seed."""
         self._sensor.reset()
 
     def on_tick(
@@ -101,14 +97,14 @@ class TactileSensorNode(TactileNode[TactileSensorConfig]):
         forces: Array,
         joints: Joints | None = None,
     ) -> None:
-        """Answer a tick for which everything has arrived."""
+        """Answer a complete tick."""
         true = TactileReading(contacts.positions, contacts.quaternions, forces)
         self.step(stamp, true, sliding[1], None if joints is None else joints.theta)
 
     def step(
         self, stamp: int, true: TactileReading, sliding: Array, theta: Array | None = None
     ) -> TactileReading:
-        """Publish and return what touch reports; see `TactileSensor.step`."""
+        """Publish and return the tactile reading; see `TactileSensor.step`."""
         with self.answering():
             touch = self._sensor.step(stamp, true, sliding, theta)
             self._publisher.publish(stamp, touch.positions, touch.quaternions, touch.forces)

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What users send, and what became of it, published with the tick that it changes.
+"""User commands and their outcome, published with the tick that they change.
 
-A command, a service call or a parameter arrives between two ticks, and only the node can
-say between which. It therefore publishes each of them once more, stamped with the first
-tick whose answer it can change. A recording of these topics is enough to repeat what the node did.
-A command that it rejects is answered with the reason and the last tick that was answered before.
+A command, service call or parameter arrives between two ticks, and only the node knows between
+which. The node therefore publishes each of them again, stamped with the first tick whose answer it
+can change. A recording of these topics suffices to reproduce the node's output. For a rejected
+command it publishes the reason and the last answered tick.
 """
 
 from __future__ import annotations
@@ -35,10 +35,10 @@ class AppliedChanges:
 
     Publications: `accepted/<node>/parameters` (rcl_interfaces/ParameterEvent: the whole
     configuration in force; at the first tick, when ticks start again and after each change;
-    transient local); where services or latched topics change the node, `accepted/<node>/requests`
+    transient local). For nodes with services or latched inputs, `accepted/<node>/requests`
     (diagnostic_msgs/DiagnosticArray: one key, the service or topic, with `true`, `false` or
-    nothing); where users command it, `rejected/<node>` (diagnostic_msgs/DiagnosticArray: the topic
-    of a rejected command and why).
+    nothing). For nodes with user commands, `rejected/<node>` (diagnostic_msgs/DiagnosticArray: the
+    topic of a rejected command and the reason).
     """
 
     def __init__(
@@ -49,14 +49,7 @@ class AppliedChanges:
         requests: bool = False,
         commands: bool = False,
     ) -> None:
-        """Create the publishers.
-
-        Args:
-            node: The node.
-            name: Its name in topics, one of those in `names`.
-            requests: Whether services or latched topics change what the node does.
-            commands: Whether users command it.
-        """
+        """Create the publishers; the node's name in topics is defined in `names`."""
         self._name, self._full_name = name, node.get_fully_qualified_name()
         self._waiting: list[tuple[Publisher, MessageAt]] = []
         self._parameters = node.create_publisher(
@@ -74,14 +67,14 @@ class AppliedChanges:
         self._answered, self._rejections = 0, 0
 
     def begin(self, config: Config) -> None:
-        """Start with the ticks: forget what has not taken effect, and publish what is in force."""
+        """Drop changes that have not taken effect, and publish the state in force."""
         self._waiting.clear()
         self.configuration(config)
         for name, value in self._states.items():
             self.request(name, value)
 
     def configuration(self, config: Config) -> None:
-        """Note that another configuration is in force."""
+        """Queue a changed configuration."""
         event = ParameterEvent(node=self._full_name, changed_parameters=to_parameters(config))
 
         def message_at(stamp_ns: int) -> ParameterEvent:
@@ -91,15 +84,14 @@ class AppliedChanges:
         self.add(self._parameters, message_at)
 
     def request(self, service: str, value: bool | None = None) -> None:
-        """Note that a service was called, or a latched topic has changed, with its value."""
+        """Queue a service call or a change of a latched topic, with its value."""
         text = "" if value is None else str(value).lower()
         self.add(self._requests, lambda stamp_ns: self._about(stamp_ns, service, service, text))
 
     def state(self, name: str, value: bool) -> bool:
-        """Note what a service or latched topic sets and a restart of the ticks does not change.
+        """Set a state that survives a restart of the ticks, initially False.
 
-        Returns:
-            Whether it has changed; at first it is false.
+        Return whether it has changed.
         """
         if value == self._states.get(name, False):
             return False
@@ -108,12 +100,7 @@ class AppliedChanges:
         return True
 
     def rejected(self, topic: str, reason: str) -> None:
-        """Publish immediately that a command of the user was rejected.
-
-        Args:
-            topic: The command, a relative topic.
-            reason: Why, in one line.
-        """
+        """Publish immediately that a user command, a relative topic, was rejected."""
         self._rejections += 1
         if topic in names.USER_COMMANDS and self._rejections <= _REJECTION_LIMIT:
             level = DiagnosticStatus.WARN
@@ -122,7 +109,7 @@ class AppliedChanges:
     def _about(
         self, stamp_ns: int, text: str, key: str, value: str, level: bytes = DiagnosticStatus.OK
     ) -> DiagnosticArray:
-        """Return a text about one key, with a tick [ns]."""
+        """Return a message about one key, stamped with a tick [ns]."""
         values = [KeyValue(key=key, value=value)]
         status = DiagnosticStatus(level=level, name=self._name, message=text, values=values)
         message = DiagnosticArray(status=[status])
@@ -130,15 +117,11 @@ class AppliedChanges:
         return message
 
     def add(self, publisher: Publisher, message_at: MessageAt) -> None:
-        """Note something else that takes effect at the next tick."""
+        """Queue another message to publish at the next tick."""
         self._waiting.append((publisher, message_at))
 
     def take_effect(self, stamp_ns: int) -> None:
-        """Publish what was accepted since the last tick; call it after each answer.
-
-        Args:
-            stamp_ns: The tick that was answered [ns].
-        """
+        """Publish the changes accepted since the last tick; call it after answering a tick [ns]."""
         self._answered, self._rejections = stamp_ns, 0
         if self._waiting:
             waiting, self._waiting = self._waiting, []

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The viewer: what RViz, Foxglove and PlotJuggler need to show a grasp, a few times a second.
+"""The viewer: transforms and markers for RViz, Foxglove and PlotJuggler, a few times a second.
 
-It takes the newest message of each topic when a picture is due, so it costs little at any tick
-rate, and nothing depends on it. The links of the hand come from robot_state_publisher. Without
-tf2_msgs there are no transforms; the markers need none.
+For each frame it takes the newest message of each topic, so it is cheap at any tick rate. No other
+node depends on it. The links of the hand come from robot_state_publisher. Without tf2_msgs there
+are no transforms; the markers need none.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from tactile_hand_ros.simulation.plant_config import ObjectConfig
 
 try:
     from tf2_msgs.msg import TFMessage
-except ImportError:  # not among the wheels; part of every full installation
+except ImportError:  # not among the pip wheels, but part of every full installation
     TFMessage = None
 
 Array = NDArray[np.float64]
@@ -55,7 +55,7 @@ _LONGEST = 0.12  # m, of the strongest force
 
 
 class ViewerConfig(Config):
-    """What is shown."""
+    """Configuration of the viewer."""
 
     hand: str = param("paper", "hand by name or YAML file")
     rate: float = param(30.0, "pictures per second", unit="Hz", gt=0.0, le=100.0)
@@ -63,7 +63,7 @@ class ViewerConfig(Config):
 
 
 class Frame(NamedTuple):
-    """A frame in the frame of the palm: name, origin [m], orientation (x, y, z, w)."""
+    """A coordinate frame in the palm frame: name, origin [m], orientation (x, y, z, w)."""
 
     name: str
     position: Array
@@ -73,22 +73,21 @@ class Frame(NamedTuple):
 class ViewerNode(TactileNode[ViewerConfig]):
     """Publishes transforms and markers.
 
-    Subscriptions, of which the newest message counts: `tactile/contacts`,
-    `tactile/<finger>/wrench`, `accepted/desired_pose`, `ground_truth/object_pose`.
+    Subscriptions, newest message only: `tactile/contacts`, `tactile/<finger>/wrench`,
+    `accepted/desired_pose`, `ground_truth/object_pose`.
 
     Publications: `markers` (visualization_msgs/MarkerArray in `palm`, only while there is a
-    subscriber), `/tf` (tf2_msgs/TFMessage, where it is installed: from `palm` to contacts and
-    object). In a namespace the names of these frames start with it, as `left/palm`: all hands use
-    one `/tf`.
+    subscriber), `/tf` (tf2_msgs/TFMessage, if installed: from `palm` to contacts and object). In a
+    namespace, frame names are prefixed with it, as in `left/palm`, because all hands share `/tf`.
 
     Parameters: the fields of `ViewerConfig`.
     """
 
     def __init__(self, **kwargs: Any) -> None:
-        """Read the hand's fingers.
+        """Subscribe and create the publishers.
 
         Raises:
-            TactileHandError: If a parameter is refused or there is no such hand.
+            TactileHandError: If a parameter is rejected or there is no such hand.
         """
         super().__init__("viewer", ViewerConfig, **kwargs)
         self._fingers = load_hand_config(self.config.hand).finger_names
@@ -120,12 +119,12 @@ class ViewerNode(TactileNode[ViewerConfig]):
         self._listening[topic] = own, decode
 
     def show(self) -> None:
-        """Publish a picture of what is known now."""
+        """Publish transforms and markers of the newest messages."""
         for topic, (subscription, decode) in self._listening.items():
             data = take_latest(subscription)
             if data is not None:
                 self._taken.pop(topic, None)
-                with suppress(MessageError):  # the controllers refuse it, and report it
+                with suppress(MessageError):  # the controllers reject and report it
                     self._taken[topic] = decode(data)
         contacts, where = self._contacts(), self._pose(names.OBJECT_POSE, "object")
         if self._tf is not None and names.CONTACTS in self._taken:
@@ -140,13 +139,13 @@ class ViewerNode(TactileNode[ViewerConfig]):
             made += contact_markers(contacts, self._forces())
             if goal is not None:
                 made.append(_placed(_axes(), goal))
-            for marker in made:  # no stamp: where it is now
+            for marker in made:  # no timestamp: the current position
                 marker.header.frame_id = self._prefix + names.PALM_FRAME
             self._markers.publish(MarkerArray(markers=made))
         self.diagnostics.tick()
 
     def _contacts(self) -> list[Frame | None]:
-        """Return the contact of each finger, None where it does not touch."""
+        """Return the contact of each finger, or None without contact."""
         if names.CONTACTS not in self._taken:
             return [None] * len(self._fingers)
         _, (positions, quaternions) = self._taken[names.CONTACTS]
@@ -165,13 +164,13 @@ class ViewerNode(TactileNode[ViewerConfig]):
 
 
 def _known(name: str, position: Array, quaternion: Array) -> Frame | None:
-    """Return a frame, None where its place is not known."""
+    """Return a frame, or None if its pose is unknown."""
     is_known = np.isfinite(position).all() and np.isfinite(quaternion).all()
     return Frame(name, position, quaternion) if is_known else None
 
 
 def transforms(frames: Sequence[Frame], stamp_ns: int, prefix: str = "") -> list[TransformStamped]:
-    """Return the transforms from the palm to frames, with a stamp and prefixed names."""
+    """Return the transforms from the palm to frames, with a timestamp and prefixed names."""
     made = []
     for frame in frames:
         message = TransformStamped(child_frame_id=prefix + frame.name)
@@ -183,12 +182,7 @@ def transforms(frames: Sequence[Frame], stamp_ns: int, prefix: str = "") -> list
 
 
 def contact_markers(contacts: Sequence[Frame | None], forces: Array) -> list[Marker]:
-    """Return point and force of each contact, as far as they are known.
-
-    Args:
-        contacts: Contact frames, None where a finger does not touch.
-        forces: Forces on the object in the contact frames, shape (k, 3), N.
-    """
+    """Return markers of known contact points and forces on the object, shape (k, 3), N."""
     lengths = np.linalg.norm(forces, axis=1)
     scale = _LONGEST / float(np.nanmax(lengths, initial=1e-9))
     made = []
@@ -248,7 +242,7 @@ def _points(corners: Sequence[Array]) -> list[Point]:
 
 
 def _corners_of(config: ObjectConfig) -> list[Array]:
-    """Return the corners of the object's faces, cut into triangles, in its own frame [m]."""
+    """Return the corners of the object's faces as triangles, in its own frame [m]."""
     solid = config.solid()
     return [
         solid.vertices[index]

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What touches rclpy but is no node: names, conversions, parameters, spinning, test support."""
+"""Everything that uses rclpy except the nodes: conversions, parameters, executor, middleware."""

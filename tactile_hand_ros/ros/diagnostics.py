@@ -21,18 +21,18 @@ OK, WARN, ERROR, STALE = (
 )
 
 WARN_SECONDS = 5.0
-"""How long a rejected message keeps the level at WARN, and an error at ERROR [s]."""
+"""How long a rejected message keeps the level at WARN and an error keeps it at ERROR [s]."""
 
 _LONGEST_REASON = 300
-"""Characters of a reason that are kept."""
+"""Maximum length of a stored reason, in characters."""
 
 _WINDOW = 4096
-"""Latest latencies of which percentiles are reported."""
+"""Number of recent latencies used for the percentiles."""
 
 
 @dataclass
 class _Notes:
-    """How often something went wrong, and how it did the last time."""
+    """Count, last reason and times of one kind of problem."""
 
     count: int = 0
     reason: str = ""
@@ -41,18 +41,13 @@ class _Notes:
 
 
 class Diagnostics:
-    """Counters and facts that `status` turns into one DiagnosticStatus.
+    """Counters and values that `status` turns into one DiagnosticStatus.
 
-    Every method costs well below a microsecond except `status`, so it may be used each tick.
+    All methods except `status` are cheap enough for every tick: well under a microsecond.
     """
 
     def __init__(self, name: str, clock: Callable[[], float] = time.monotonic) -> None:
-        """Name the status.
-
-        Args:
-            name: Full name of the node.
-            clock: Source of time [s], only for rates and how long a warning lasts.
-        """
+        """Create the counters for a node; `clock` [s] serves only rates and warning durations."""
         self.name = name
         self._clock = clock
         self._ticks = 0
@@ -70,12 +65,12 @@ class Diagnostics:
         self._ticks += 1
 
     def latency(self, seconds: float) -> None:
-        """Note how long one tick took [s]."""
+        """Record the duration of one tick [s]."""
         self._latencies[self._latency_count % _WINDOW] = seconds
         self._latency_count += 1
 
     def value(self, key: str, value: Any) -> None:
-        """Show a value, such as a margin or a residual, under a key."""
+        """Set a reported value, such as a margin or a residual."""
         self._values[key] = value
 
     def fault(self, key: str, message: str, level: bytes = ERROR) -> None:
@@ -83,30 +78,22 @@ class Diagnostics:
         self._faults[key] = (message, level)
 
     def judge(self, key: str, is_fault: bool, message: str, level: bytes = ERROR) -> None:
-        """Report a fault or end it."""
+        """Report or clear a fault."""
         if is_fault:
             self.fault(key, message, level)
         else:
             self.clear(key)
 
     def clear(self, key: str) -> None:
-        """End a fault; without such a fault nothing happens."""
+        """Clear a fault; do nothing if it is not set."""
         self._faults.pop(key, None)
 
     def reject(self, topic: str, error: Exception | str) -> bool:
-        """Count a message that could not be used.
-
-        Returns:
-            Whether it should be logged: at most once in `WARN_SECONDS` for a topic.
-        """
+        """Count a rejected message; return whether to log it, at most once per `WARN_SECONDS`."""
         return self._note(self._rejections, topic, error)
 
     def error(self, source: str, text: str) -> bool:
-        """Count an error that was not foreseen.
-
-        Returns:
-            Whether it should be logged: at most once in `WARN_SECONDS` for a source.
-        """
+        """Count an unexpected error; return whether to log it, at most once per `WARN_SECONDS`."""
         return self._note(self._errors, source, text)
 
     def _note(self, entries: dict[str, _Notes], key: str, error: Exception | str) -> bool:
@@ -119,7 +106,7 @@ class Diagnostics:
         return is_due
 
     def status(self) -> DiagnosticStatus:
-        """Return the state since the last call."""
+        """Return the status of the time since the last call."""
         now = self._clock()
         ticks, seconds = self._ticks - self._reported_ticks, now - self._reported_at
         self._reported_ticks, self._reported_at = self._ticks, now
@@ -138,7 +125,7 @@ class Diagnostics:
         return DiagnosticStatus(level=level, name=self.name, message=message, values=pairs)
 
     def _worst(self, now: float, ticks: int) -> tuple[bytes, str]:
-        """Return level and text of the worst; of equals, a fault comes before what is recent."""
+        """Return level and text of the worst problem; at equal level a fault comes first."""
         found = [(level, text) for text, level in self._faults.values()]
         for source, entry in _latest(self._errors, now):
             found.append((ERROR, f"{counted(entry.count, 'error')} in {source}: {entry.reason}"))
@@ -161,29 +148,29 @@ class Diagnostics:
 
 
 def _latest(entries: dict[str, _Notes], now: float) -> list[tuple[str, _Notes]]:
-    """Return the newest entry, none if it is older than `WARN_SECONDS`."""
+    """Return the newest entry, or an empty list if it is older than `WARN_SECONDS`."""
     recent = [item for item in entries.items() if now - item[1].last < WARN_SECONDS]
     return sorted(recent, key=lambda item: item[1].last)[-1:]
 
 
 class Mostly:
-    """Whether something held at most of the ticks since the last call.
+    """Majority filter: whether a condition held in most ticks since the last call.
 
-    Noise makes a condition blink; a report once a second should show what lasts.
+    Noise makes a condition flicker. A report once a second should show only lasting conditions.
     """
 
     def __init__(self) -> None:
-        """Start with no."""
+        """Start with False."""
         self._held = self._ticks = 0
         self._answer = False
 
     def note(self, holds: bool) -> None:
-        """Note a tick."""
+        """Count a tick."""
         self._held += holds
         self._ticks += 1
 
     def __call__(self) -> bool:
-        """Answer for the ticks since the last call; without any, as before."""
+        """Return the majority since the last call, or the previous result if there was no tick."""
         if self._ticks:
             self._answer = 2 * self._held > self._ticks
             self._held = self._ticks = 0

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How a node receives and sends: errors as text, messages taken directly, message types by name.
+"""Helpers for subscriptions and services: error texts, direct takes, message types by name.
 
-Some subscriptions are read without an executor, which would wake up for each message at ten times
-the cost of taking it. ``take_message`` of the object behind the public ``handle`` is not public.
+Some subscriptions bypass the executor, because waking it up costs ten times as much as taking a
+message. ``take_message``, a method of the object behind the public ``handle``, is not public API.
 """
 
 from __future__ import annotations
@@ -31,16 +31,16 @@ _GUARD = _PACKAGE / "ros" / "node.py"
 
 
 class TickFailedError(TactileHandError):
-    """A node has failed at a tick, and has reported why."""
+    """A failure of a node at a tick, which the node has already reported."""
 
 
 def described(error: Exception) -> str:
-    """Return an error in one line: what, and where in this package."""
+    """Return an error in one line, with its location in this package."""
     return shortened(f"{type(error).__name__} at {location(error)}: {error}")
 
 
 def location(error: BaseException) -> str:
-    """Return file and line in which an error arose: the innermost of this package, if any."""
+    """Return the file and line that raised an error: the innermost of this package, if any."""
     steps = traceback.walk_tb(error.__traceback__)
     places = [(Path(frame.f_code.co_filename), line) for frame, line in steps]
     inside = [each for each in places if each[0].is_relative_to(_PACKAGE) and each[0] != _GUARD]
@@ -51,7 +51,7 @@ def location(error: BaseException) -> str:
 
 
 def refusal(request: Any, response: Any, reason: str) -> Any:
-    """Fill a response with a rejection, as far as its type has fields for it."""
+    """Fill a response with a rejection, if its type has fields for one."""
     no = SetParametersResult(successful=False, reason=reason)
     if hasattr(response, "success"):
         response.success, response.message = False, reason
@@ -63,15 +63,15 @@ def refusal(request: Any, response: Any, reason: str) -> Any:
 
 
 class DirectTakeGroup(CallbackGroup):
-    """Keeps its subscriptions out of every executor."""
+    """A group whose subscriptions no executor serves."""
 
     def can_execute(self, entity: Any) -> bool:
-        """Return False, so that no executor waits for the entity."""
+        """Return False to keep executors from waiting for the entity."""
         return False
 
 
 def _ignore(_: bytes) -> None:
-    """Stand in for a callback."""
+    """Do nothing: a placeholder callback."""
 
 
 def subscribe_directly(
@@ -81,17 +81,9 @@ def subscribe_directly(
     profile: QoSProfile,
     **options: Any,
 ) -> Subscription:
-    """Subscribe to serialized messages that are only taken with `taken` or `take_latest`.
-
-    Args:
-        node: Owner of the subscription.
-        kind: Message class.
-        topic: Name of the topic.
-        profile: Quality of service.
-        **options: For `rclpy.node.Node.create_subscription`.
-    """
+    """Subscribe to serialized messages that are read only with `taken` or `take_latest`."""
     group = DirectTakeGroup()
-    # No executor would take an event, and each would wake for it again and again.
+    # No executor would take an event, so each event would wake it again and again.
     options.setdefault("event_callbacks", SubscriptionEventCallbacks(use_default_callbacks=False))
     return node.create_subscription(
         kind, topic, _ignore, profile, callback_group=group, raw=True, **options
@@ -99,14 +91,14 @@ def subscribe_directly(
 
 
 def taken(subscription: Subscription, limit: int = _ALL) -> Iterator[tuple[Any, Any]]:
-    """Take the waiting messages, oldest first; bytes where the subscription is raw.
+    """Take the waiting messages, oldest first, as bytes if the subscription is raw.
 
     Args:
-        subscription: Which no executor serves at the same time.
-        limit: Maximum number of messages: a flood must not starve other topics.
+        subscription: A subscription that no executor serves at the same time.
+        limit: Maximum number of messages, so that a flood cannot starve other topics.
 
     Yields:
-        A message and what the middleware reports about it.
+        A message and its info from the middleware.
     """
     handle, kind, raw = subscription.handle, subscription.msg_type, subscription.raw
     with handle:
@@ -118,7 +110,7 @@ def taken(subscription: Subscription, limit: int = _ALL) -> Iterator[tuple[Any, 
 
 
 def take_latest(subscription: Subscription) -> Any:
-    """Take everything that has arrived and return the newest message, None if there is none."""
+    """Take all waiting messages and return the newest, or None."""
     newest = None
     for newest, _ in taken(subscription):
         pass
@@ -126,13 +118,10 @@ def take_latest(subscription: Subscription) -> Any:
 
 
 def message_class(type_name: str) -> Any:
-    """Return the Python class of a message type.
+    """Return the Python class of a message type such as ``sensor_msgs/msg/JointState``.
 
-    The name comes from a bag or from the network, so it imports nothing but packages of interfaces
-    that are installed: a module of that name that merely lies on Python's path is not run.
-
-    Args:
-        type_name: Full name, e.g. ``sensor_msgs/msg/JointState``.
+    The name comes from a bag or from the network. Only installed interface packages are imported,
+    so the name cannot run an arbitrary module on the Python path.
 
     Raises:
         BagError: If the type is not installed.
@@ -150,6 +139,6 @@ def message_class(type_name: str) -> Any:
         return getattr(importlib.import_module(f"{package}.msg"), name)
     except (ImportError, AttributeError, LookupError, OSError):
         raise BagError(
-            f"The message type '{type_name}' is not installed, expected a package with it in "
-            "this environment; install or source it to record its topics."
+            f"The message type '{type_name}' is not installed; install or source its package to "
+            "record its topics."
         ) from None

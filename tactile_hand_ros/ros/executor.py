@@ -1,26 +1,26 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The nodes' own loop: wait sets that are built once, and messages taken directly.
+"""Executor of the nodes: it builds its wait sets once and takes messages directly.
 
-The standard executors of rclpy build a new wait set and a coroutine per callback at every
-wake-up, which costs more than the message itself. `WaitSetExecutor` keeps a wait set and calls
-subscriptions, timers and guard conditions directly. Services and clients have one of their own,
-which is looked at every `RARE_PERIOD_NS`; what is there is served by the inherited, public
-`SingleThreadedExecutor`, and so are the QoS events of each node every `EVENT_PERIOD_NS`. Callbacks
-are plain functions: coroutines are not awaited.
+At every wake-up, the standard executors of rclpy build a new wait set and a coroutine per callback.
+That costs more than handling the message. `WaitSetExecutor` keeps its wait set and calls
+subscriptions, timers and guard conditions directly. Services and clients have a second wait set,
+checked every `RARE_PERIOD_NS`. The inherited, public `SingleThreadedExecutor` serves them, and the
+QoS events of each node every `EVENT_PERIOD_NS`. Callbacks are plain functions: coroutines are not
+awaited.
 
-Pieces of rclpy (Jazzy) that are not public:
+Private parts of rclpy (Jazzy) in use:
 
 * ``rclpy.impl.implementation_singleton.rclpy_implementation.WaitSet``: the wait set itself.
 * ``take_message``, ``call_timer`` and ``is_timer_ready`` of the objects behind the public
   ``handle`` of subscriptions and timers.
-* ``Subscription._callback_type``: whether a callback takes the message's info too.
+* ``Subscription._callback_type``: whether a callback also takes the message info.
 * ``Executor._take_service``, ``_guard``, ``_sigint_gc`` and ``_is_shutdown`` of the base class.
 
-A node that has work of its own to do between messages has a function `work`. It is called again and
-again, and returns whether there is more; the executor does not block meanwhile.
+A node with work to do between messages has a method `work`, which returns whether there is more to
+do. The executor calls it repeatedly and does not block meanwhile.
 
-An error of the middleware (a request that cannot be taken, an answer that cannot be sent) goes to
-``survive`` of the nodes that have it, and does not stop the loop.
+A middleware error (an unreadable request, an unsendable reply) is passed to the node's ``survive``
+if it has one, and does not stop the loop.
 """
 
 from __future__ import annotations
@@ -50,13 +50,13 @@ from rclpy.timer import Timer
 from tactile_hand_ros.errors import MessageError
 
 _BURST = 100
-"""Messages taken from one subscription before the others get their turn."""
+"""Maximum number of messages taken from one subscription before the others are served."""
 
 RARE_PERIOD_NS = 50_000_000
-"""Longest time a service request waits [ns]."""
+"""Maximum wait of a service request [ns]."""
 
 EVENT_PERIOD_NS = 1_000_000_000
-"""Longest time a QoS event waits [ns]: to look for those of a node costs 0.3 ms."""
+"""Maximum wait of a QoS event [ns]; checking one node costs 0.3 ms."""
 
 _KINDS = ("subscription", "guard_condition", "timer", "client", "service")
 
@@ -64,12 +64,8 @@ _KINDS = ("subscription", "guard_condition", "timer", "client", "service")
 def spin(nodes: Node | Sequence[Node], executor: Executor | None = None) -> None:
     """Serve one or several nodes of one context until it is shut down.
 
-    Returns normally after SIGINT, SIGTERM or ``rclpy.shutdown``. An exception of a callback stops
-    the loop and is passed on.
-
-    Args:
-        nodes: The nodes.
-        executor: Executor to use; by default a new `WaitSetExecutor`.
+    Returns after SIGINT, SIGTERM or ``rclpy.shutdown``. An exception in a callback propagates. The
+    default executor is a new `WaitSetExecutor`.
     """
     listed = [nodes] if isinstance(nodes, Node) else list(nodes)
     chosen = executor or WaitSetExecutor(context=listed[0].context)
@@ -86,18 +82,12 @@ def spin(nodes: Node | Sequence[Node], executor: Executor | None = None) -> None
 
 
 class _WaitSet:
-    """Entities of some nodes, held alive, and one native wait set over them."""
+    """A native wait set and its entities, which it keeps alive."""
 
     def __init__(
         self, entities: Mapping[str, Iterable[Any]], context: Context, stack: ExitStack
     ) -> None:
-        """Collect the entities.
-
-        Args:
-            entities: What to wait for, by its kind in rclpy.
-            context: Context of all nodes.
-            stack: Keeps every handle in use until it is closed.
-        """
+        """Collect the entities, by kind; `stack` keeps their handles in use until it closes."""
         self._known: dict[int, Any] = {}
         held: list[tuple[str, Any]] = []
         stack.enter_context(context.handle)
@@ -112,14 +102,14 @@ class _WaitSet:
         self._adding = [(getattr(self._native, f"add_{kind}"), handle) for kind, handle in held]
 
     def wait(self, limit_ns: int) -> None:
-        """Wait until something is ready, at most for a time [ns]."""
-        self._native.clear_entities()  # a wait removes what is not ready
+        """Wait until an entity is ready, or until the limit [ns]."""
+        self._native.clear_entities()  # a wait removes entities that are not ready
         for add, handle in self._adding:
             add(handle)
         self._native.wait(limit_ns)
 
     def ready(self, kind: str) -> list[Any]:
-        """Return what the last wait found of a kind."""
+        """Return the entities of a kind that the last wait found ready."""
         return [self._known[at] for at in self._native.get_ready_entities(kind)]
 
 
@@ -129,7 +119,7 @@ class WaitSetExecutor(SingleThreadedExecutor):
     Not for use from several threads, except `wake` and `shutdown`.
     """
 
-    # The base class looks for it at shutdown, also when a signal cut its construction short.
+    # The base class reads it at shutdown, even if a signal interrupted its construction.
     _sigint_gc = None
 
     def __init__(self, *, context: Context | None = None) -> None:
@@ -141,7 +131,7 @@ class WaitSetExecutor(SingleThreadedExecutor):
         super().__init__(context=context)
 
     def wake(self) -> None:
-        """Wait again because an entity was created or destroyed; rclpy calls this."""
+        """Rebuild the wait sets; rclpy calls this when an entity is created or destroyed."""
         self._stale = True
         super().wake()
 
@@ -156,11 +146,11 @@ class WaitSetExecutor(SingleThreadedExecutor):
         super().remove_node(node)
 
     def after_reading(self, callback: Callable[[], None]) -> None:
-        """Call back once, after the callbacks of all messages that are there now."""
+        """Call back once, after all waiting messages have been handled."""
         self._afterwards.append(callback)
 
     def can_execute(self, entity: Any) -> bool:
-        """Return whether the public executor serves an entity; only rare ones during `spin`."""
+        """Return whether the public executor serves an entity: during `spin`, only rare ones."""
         is_frequent = isinstance(entity, Subscription | Timer | GuardCondition)
         return not (self._spins and is_frequent) and bool(super().can_execute(entity))
 
@@ -177,7 +167,7 @@ class WaitSetExecutor(SingleThreadedExecutor):
                     is_busy = any([work() for work in works])
 
     def _wait_sets(self, stack: ExitStack) -> tuple[_WaitSet, _WaitSet]:
-        """Return those of what is called directly, and of services and clients."""
+        """Return the wait sets of directly called entities and of services and clients."""
         self._stale, self._spins = False, False
         nodes = self.get_nodes()
         guards = [self._guard, self._sigint_gc, *(g for node in nodes for g in node.guards)]
@@ -192,7 +182,7 @@ class WaitSetExecutor(SingleThreadedExecutor):
         return _WaitSet(frequent, self._context, stack), _WaitSet(rare, self._context, stack)
 
     def _step(self, waiting: _WaitSet, limit_ns: int) -> None:
-        """Wait once, at most for a time [ns], and serve what is ready."""
+        """Wait once, up to a limit [ns], and serve every entity that is ready."""
         waiting.wait(limit_ns)
         guards = waiting.ready("guard_condition")
         if guards and not self._is_running():
@@ -201,7 +191,7 @@ class WaitSetExecutor(SingleThreadedExecutor):
             if guard.callback is not None and not self._stale:
                 guard.callback()
         for timer in waiting.ready("timer"):
-            # A cancelled timer is reported as ready once more.
+            # A cancelled timer is reported as ready one more time.
             if not self._stale and timer.handle.is_timer_ready():
                 timer.handle.call_timer()
                 timer.callback()
@@ -210,7 +200,7 @@ class WaitSetExecutor(SingleThreadedExecutor):
         self._call_afterwards()
 
     def _look_for_rare(self, rare: _WaitSet) -> None:
-        """Serve services and clients, and the QoS events of one node after the other, when due."""
+        """Serve services and clients, and the QoS events of one node per turn, when due."""
         now, nodes = time.monotonic_ns(), self.get_nodes()
         if now < self._rare_due or self._stale or not nodes:
             return
@@ -224,7 +214,7 @@ class WaitSetExecutor(SingleThreadedExecutor):
             nodes = [nodes[self._turn % len(nodes)]]
         while self._is_running() and self._serve(0.0, nodes):
             pass
-        if not self._is_running():  # its guard condition may have woken the public executor
+        if not self._is_running():  # the shutdown may have woken the public executor instead
             self._stale = True
 
     def _call_afterwards(self) -> None:
@@ -240,7 +230,7 @@ class WaitSetExecutor(SingleThreadedExecutor):
             # A subscription that a callback destroyed must not see another message.
             try:
                 item = None if self._stale else take(kind, raw)
-            except Exception as error:  # bytes that are not this message
+            except Exception as error:  # the bytes are not a valid message
                 self._reject(subscription, subscription.topic_name, error)
                 continue
             if item is None:
@@ -251,16 +241,16 @@ class WaitSetExecutor(SingleThreadedExecutor):
         return bool(self._context.ok()) and not self._is_shutdown
 
     def spin_once(self, timeout_sec: float | None = None) -> None:
-        """Serve one thing, as the public executor does."""
+        """Serve one entity, as the public executor does."""
         self._serve(timeout_sec)
         self._call_afterwards()
 
     def _serve(self, timeout_sec: float | None, nodes: list[Node] | None = None) -> bool:
-        """Return whether the public executor has found something to serve, of all nodes or some."""
+        """Serve one ready entity with the public executor; return whether there was one."""
         try:
             task, *_ = self.wait_for_ready_callbacks(timeout_sec, nodes)
             task()
-            task.result()  # raises what the callback raised
+            task.result()  # re-raises the callback's exception
         except (TimeoutException, ShutdownException):
             return False
         except ExternalShutdownException:
@@ -269,8 +259,8 @@ class WaitSetExecutor(SingleThreadedExecutor):
             self._survive("services", error)
         return True
 
-    # A request of damaged bytes makes rclpy raise while it takes it, which would leave the service
-    # and its callback group locked for ever.
+    # rclpy raises while it takes a request with damaged bytes. That would leave the service and its
+    # callback group locked forever.
     def _take_service(self, srv: Service) -> Any:
         try:
             return super()._take_service(srv)
@@ -279,14 +269,14 @@ class WaitSetExecutor(SingleThreadedExecutor):
             return None
 
     def _reject(self, entity: Service | Subscription, name: str, error: Exception) -> None:
-        """Report bytes that cannot be read to the owner of the entity."""
+        """Report unreadable bytes to the owner of the entity."""
         nodes = self.get_nodes()
         owners = [node for node in nodes if entity in (*node.services, *node.subscriptions)]
         text = f"its bytes cannot be read ({type(error).__name__})."
         self._survive(name, MessageError(text), owners)
 
     def _survive(self, source: str, error: Exception, nodes: Sequence[Node] = ()) -> None:
-        """Let the nodes that an error concerns survive it; all where that is not known."""
+        """Pass an error to the nodes that it concerns, or to all nodes if that is unknown."""
         survivors = [node for node in nodes or self.get_nodes() if hasattr(node, "survive")]
         if not survivors:
             raise error

@@ -1,11 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Messages as CDR bytes: numbers are read and written in place, everything else is constant.
 
-Five messages a tick and finger make generated (de)serialization the largest cost of a node. In a
-tick message only the stamp and the numbers change, so a `CdrTemplate` keeps the rest, and a
-`ContentReader` looks at the rest only when it has changed. What cannot be used is refused with
-`MessageError` in one sentence. Written bytes have zeros for padding, so equal numbers give equal
-bytes.
+With five messages per tick and finger, generated (de)serialization is the largest cost of a node.
+In a tick message only the timestamp and the numbers change. So a `CdrTemplate` keeps the rest, and
+a `ContentReader` parses the rest only when it changes. Invalid messages raise `MessageError`.
+Padding is written as zeros, so equal numbers give equal bytes.
 
 Source: OMG DDS-XTypes 1.3, 7.4 (plain CDR version 1); REP 2000 types of ROS 2 Jazzy.
 """
@@ -33,17 +32,17 @@ Array = NDArray[np.float64]
 Force = tuple[float, float, float]
 
 LARGEST_NUMBER = 1e9
-"""Largest magnitude that a message may carry, in SI units: larger ones overflow in products."""
+"""Largest magnitude that a message may carry, in SI units; larger numbers overflow in products."""
 
 _SECOND = 1_000_000_000
 _LARGEST_SQUARE = LARGEST_NUMBER * LARGEST_NUMBER
-_LONGEST_NAME = 80  # characters of a sender's text that an error repeats
+_LONGEST_NAME = 80  # maximum length of a sender's text in an error
 _UNIT_TOLERANCE = 1e-3
 _NUMBER_SIZE = 12  # the encapsulation and a double
 
 
 class ContactPoses(NamedTuple):
-    """Contact frames C_i in the palm frame; NaN rows where a finger has no contact.
+    """Contact frames C_i in the palm frame; the rows of fingers without contact are NaN.
 
     Attributes:
         positions: Contact points [m]. Shape (k, 3).
@@ -67,16 +66,16 @@ class Pose(NamedTuple):
 
 
 def stamp_to_ns(stamp: Time) -> int:
-    """Return a message stamp as integer nanoseconds.
+    """Return a message timestamp in nanoseconds.
 
     Raises:
-        MessageError: If it is not a time that a message can carry.
+        MessageError: If it is not a valid time.
     """
     return to_nanoseconds(int(stamp.sec), int(stamp.nanosec))
 
 
 def stamp_from_ns(nanoseconds: int) -> Time:
-    """Return integer nanoseconds as a message stamp."""
+    """Return a time in nanoseconds as a message timestamp."""
     seconds, rest = divmod(nanoseconds, _SECOND)
     return Time(sec=seconds, nanosec=rest)
 
@@ -84,15 +83,15 @@ def stamp_from_ns(nanoseconds: int) -> Time:
 def all_usable(values: Array) -> bool:
     """Return whether a contiguous array holds only numbers up to `LARGEST_NUMBER`."""
     flat = values.ravel()
-    # One dot product is faster than two comparisons; a large sum only costs the second look.
+    # One dot product is faster than two comparisons; a large sum only costs the second check.
     return bool(flat.dot(flat) <= _LARGEST_SQUARE or (np.abs(flat) <= LARGEST_NUMBER).all())
 
 
 def check_output(values: Array, *, nan_allowed: bool = False) -> None:
-    """Check numbers that are about to leave the node: what is sent can be read.
+    """Check numbers before they are published, so that receivers can use them.
 
     Raises:
-        UnsafeOutputError: If one is beyond `LARGEST_NUMBER`, or NaN where NaN is not an answer.
+        UnsafeOutputError: If one exceeds `LARGEST_NUMBER`, or is NaN where NaN is not allowed.
     """
     if all_usable(values) or (nan_allowed and all_usable(values[~np.isnan(values)])):
         return
@@ -114,7 +113,7 @@ def read_number(data: bytes) -> float:
 
 
 def checked_number(number: float) -> float:
-    """Return a number that may be used.
+    """Return the number if it is valid.
 
     Raises:
         MessageError: For NaN, infinity or a number beyond `LARGEST_NUMBER`.
@@ -132,7 +131,7 @@ def _checked_quaternion(quaternion: Sequence[float], what: str) -> None:
     x, y, z, w = quaternion
     if not abs(x * x + y * y + z * z + w * w - 1.0) < _UNIT_TOLERANCE:
         raise MessageError(
-            f"{what} has the quaternion ({x}, {y}, {z}, {w}), expected one of length 1."
+            f"{what} has the quaternion ({x}, {y}, {z}, {w}), expected a unit quaternion."
         )
 
 
@@ -153,7 +152,7 @@ def _check_frame(content: Content, frame: str) -> None:
 
 
 def _shown(text: str) -> str:
-    """Return a sender's text as an error repeats it: never longer than a line."""
+    """Return a sender's text for an error, shortened to less than a line."""
     return text if len(text) <= _LONGEST_NAME else f"{text[:_LONGEST_NAME]}..."
 
 
@@ -161,13 +160,12 @@ class WrenchCodec:
     """geometry_msgs/WrenchStamped with a force [N] and no torque."""
 
     def __init__(self, frame: str, *, nan_allowed: bool = False, any_frame: bool = False) -> None:
-        """Fix the frame.
+        """Create the codec.
 
         Args:
-            frame: The frame that is written and that a read message must be in.
-            nan_allowed: Whether NaN is an answer (there is none) instead of a mistake, in what is
-                read and in what is written.
-            any_frame: Whether a read message may be in any frame, as where only y counts.
+            frame: Frame of written messages, required in read messages.
+            nan_allowed: Whether NaN is valid, for "no value", in both directions.
+            any_frame: Whether read messages may be in any frame, if only y is used.
         """
         self._frame = None if any_frame else frame
         self._nan_allowed = nan_allowed
@@ -188,7 +186,7 @@ class WrenchCodec:
         return self._template.stamped(stamp_ns)
 
     def decode(self, data: bytes) -> tuple[int, Force]:
-        """Return stamp [ns] and force.
+        """Return timestamp [ns] and force [N].
 
         Raises:
             MessageError: For bytes of another type, a wrong frame, a number beyond
@@ -205,7 +203,7 @@ class WrenchCodec:
         return content.stamp, (x, y, z)
 
     def decode_normal(self, data: bytes) -> tuple[int, float]:
-        """Return stamp [ns] and the normal force, as which k_f is sent; see `decode`."""
+        """Return timestamp [ns] and normal force [N], which carries k_f; see `decode`."""
         stamp, force = self.decode(data)
         return stamp, force[1]
 
@@ -214,19 +212,14 @@ class ContactsCodec:
     """geometry_msgs/PoseArray with the contact frames C_i of k fingers in the palm frame."""
 
     def __init__(self, count: int) -> None:
-        """Fix the number of fingers k."""
+        """Create the codec for k fingers."""
         self._count = count
         self._template = CdrTemplate().text(PALM_FRAME).length(count).doubles(7 * count)
         self._rows = self._template.finish()[0].reshape(count, 7)
         self._read = ContentReader("geometry_msgs/msg/PoseArray")
 
     def encode(self, positions: Array, quaternions: Array, stamp_ns: int) -> bytes:
-        """Return the message; NaN rows where a finger has no contact.
-
-        Args:
-            positions: Contact points [m]. Shape (k, 3).
-            quaternions: Contact frames, order x, y, z, w. Shape (k, 4).
-            stamp_ns: The tick [ns].
+        """Return the message for contact points [m] and quaternions; NaN rows mean no contact.
 
         Raises:
             UnsafeOutputError: If a number is infinite.
@@ -236,7 +229,7 @@ class ContactsCodec:
         return self._template.stamped(stamp_ns)
 
     def decode(self, data: bytes) -> tuple[int, ContactPoses]:
-        """Return stamp [ns] and contacts; a NaN position means no contact and gives NaN rows.
+        """Return timestamp [ns] and contacts; a NaN position means no contact and gives NaN rows.
 
         Raises:
             MessageError: For bytes of another type, a wrong frame or length, infinity or a
@@ -262,7 +255,7 @@ class ContactsCodec:
         return content.stamp, ContactPoses(rows[:, :3].copy(), rows[:, 3:].copy())
 
     def decode_contacts(self, data: bytes) -> tuple[int, Contacts]:
-        """Return stamp [ns] and contacts with rotation matrices; see `decode`."""
+        """Return timestamp [ns] and contacts with rotation matrices; see `decode`."""
         stamp, poses = self.decode(data)
         return stamp, Contacts.from_poses(*poses)
 
@@ -270,7 +263,7 @@ class ContactsCodec:
 class Joints(NamedTuple):
     """Joint angles [rad], rates [rad/s] and torques [N m] in the hand's order, shape (m,).
 
-    The torques are those since the tick before, and None where a driver does not report them.
+    The torques acted since the previous tick; they are None if the driver does not report them.
     """
 
     theta: Array
@@ -279,9 +272,9 @@ class Joints(NamedTuple):
 
 
 class JointCodec:
-    """sensor_msgs/JointState with some of its fields, in the hand's order of joints.
+    """sensor_msgs/JointState with some of its fields, in the hand's joint order.
 
-    A message that is read may name the joints in any order; each must be there once.
+    A read message may name the joints in any order, each exactly once.
     """
 
     def __init__(
@@ -291,13 +284,13 @@ class JointCodec:
         *,
         others: bool = False,
     ) -> None:
-        """Fix the joints.
+        """Create the codec.
 
         Args:
             names: Joint names in the hand's order.
-            fields: Which of ``position``, ``velocity`` and ``effort`` are written and read, in this
+            fields: Fields to write and read, of ``position``, ``velocity`` and ``effort``, in this
                 order.
-            others: Whether a message that is read may have other joints too, such as an arm's.
+            others: Whether a read message may contain other joints, such as those of an arm.
         """
         self._names, self._others = list(names), others
         self._given: list[str] | None = None
@@ -324,7 +317,7 @@ class JointCodec:
         return self._template.stamped(stamp_ns)
 
     def decode(self, data: bytes) -> tuple[int, list[Array]]:
-        """Return stamp [ns] and one array of shape (m,) per field.
+        """Return timestamp [ns] and one array of shape (m,) per field.
 
         Raises:
             MessageError: For bytes of another type, unknown, missing or repeated joints, wrong
@@ -334,7 +327,7 @@ class JointCodec:
         return content.stamp, [self._own(content, field) for field in self._wanted]
 
     def decode_joints(self, data: bytes) -> tuple[int, Joints]:
-        """Return stamp [ns] and what a driver sends, of which position and velocity are wanted.
+        """Return timestamp [ns] and a driver's joint state, with position and velocity required.
 
         Raises:
             MessageError: As `decode`.
@@ -346,7 +339,7 @@ class JointCodec:
         return content.stamp, Joints(theta, rates, effort)
 
     def _found(self, data: bytes) -> Content:
-        """Return a message, and find where in it each joint of the hand is."""
+        """Parse a message and locate the hand's joints in it."""
         content = self._read(data)
         given = content.texts[1:]
         if given != self._given:
@@ -371,14 +364,14 @@ class JointCodec:
         return own
 
     def _places_in(self, given: Sequence[str]) -> NDArray[np.intp]:
-        """Return where each joint of the hand is among the names that a sender gives."""
+        """Return the index of each joint of the hand among the sender's names."""
         unknown = next((_shown(name) for name in given if name not in self._names), None)
         if unknown is not None and not self._others:
             raise MessageError(f"unknown joint '{unknown}'{did_you_mean(unknown, self._names)}")
         for name in self._names:
             count = given.count(name)
             if count != 1:
-                problem = f"is there {count} times" if count else "is missing"
+                problem = f"appears {count} times" if count else "is missing"
                 raise MessageError(
                     f"joint '{name}' {problem}, expected each of {len(self._names)} once."
                 )
@@ -389,11 +382,7 @@ class PoseCodec:
     """geometry_msgs/PoseStamped in the palm frame."""
 
     def __init__(self, *, nan_allowed: bool = False) -> None:
-        """Prepare the constant bytes.
-
-        Args:
-            nan_allowed: Whether the position, the quaternion or both may be NaN, which keeps them.
-        """
+        """Create the codec; `nan_allowed` permits a NaN position or quaternion, "keep this one"."""
         self._nan_allowed = nan_allowed
         self._template = CdrTemplate().text(PALM_FRAME).doubles(7)
         (self._row,) = self._template.finish()
@@ -410,7 +399,7 @@ class PoseCodec:
         return self._template.stamped(stamp_ns)
 
     def decode(self, data: bytes) -> tuple[int, Pose]:
-        """Return stamp [ns] and pose.
+        """Return timestamp [ns] and pose.
 
         Raises:
             MessageError: For bytes of another type, a wrong frame, NaN, infinity or a quaternion
@@ -430,14 +419,14 @@ class PoseCodec:
 
 
 class ImuCodec:
-    """sensor_msgs/Imu, of which only the orientation of the palm in the world counts."""
+    """sensor_msgs/Imu, used only for the orientation of the palm in the world."""
 
     def __init__(self) -> None:
-        """Prepare the constant bytes: no angular velocity and no acceleration, both unknown."""
+        """Create the codec; angular velocity and acceleration are marked as unknown."""
         self._template = CdrTemplate().text(PALM_FRAME).doubles(37)
         (self._row,) = self._template.finish()
         self._read = ContentReader("sensor_msgs/msg/Imu")
-        self._row[[16, 28]] = -1.0  # first covariances of what is not measured
+        self._row[[16, 28]] = -1.0  # -1 in a covariance marks unmeasured values
 
     def encode(self, orientation: Array, stamp_ns: int) -> bytes:
         """Return the message for a quaternion (x, y, z, w).
@@ -450,7 +439,7 @@ class ImuCodec:
         return self._template.stamped(stamp_ns)
 
     def decode(self, data: bytes) -> tuple[int, Array]:
-        """Return stamp [ns] and quaternion, shape (4,).
+        """Return timestamp [ns] and quaternion, shape (4,).
 
         Raises:
             MessageError: For bytes of another type, or a quaternion not of unit length.
@@ -462,7 +451,7 @@ class ImuCodec:
 
 
 def feedback_message(intensities: Sequence[float]) -> JoyFeedbackArray:
-    """Return rumble intensities as a message, cut to the range 0 to 1."""
+    """Return rumble intensities as a message, clipped to the range 0 to 1."""
     rumbles = [
         JoyFeedback(type=JoyFeedback.TYPE_RUMBLE, id=index, intensity=min(1.0, max(0.0, intensity)))
         for index, intensity in enumerate(map(float, intensities))

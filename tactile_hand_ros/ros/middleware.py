@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How the middleware is set up, and contexts of rclpy.
+"""Middleware settings and rclpy contexts.
 
-Messages go through sockets alone. Fast DDS would also use shared memory, where a process that is
-killed while it sets up its part leaves it half made; the next process that opens it waits for ever,
-in native code. Shared memory is a little faster; a hand must not depend on it.
+Messages use sockets only. Fast DDS would also use shared memory. A process that is killed while it
+sets up its segment leaves it half initialized, and the next process that opens it waits forever in
+native code. Shared memory is slightly faster, but a hand must not depend on it.
 """
 
 from __future__ import annotations
@@ -27,31 +27,28 @@ if TYPE_CHECKING:
 _PROFILES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
 _RANGE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
 _ALONE = "ROS_LOCALHOST_ONLY"
-_HIGHEST_DOMAIN = 232  # with a higher one, the ports of DDS would not be ports
+_HIGHEST_DOMAIN = 232  # above it, the DDS port numbers are invalid
 _MIDDLEWARE, _FAST_DDS = "RMW_IMPLEMENTATION", "rmw_fastrtps"
 
 
 def socket_settings(environment: Mapping[str, str]) -> dict[str, str]:
-    """Return the variables that make Fast DDS use sockets only, in the range that is set.
+    """Return the variables that make Fast DDS use sockets only, within the discovery range.
 
-    Nothing where the user has chosen a profile or another middleware, switched discovery off, or
-    there is no configuration. The range ``LOCALHOST`` becomes a profile that means the same: with
-    the variable itself, ROS adds shared memory to every profile.
-
-    Args:
-        environment: Variables in force.
+    The result is empty if the user has chosen a profile or another middleware or disabled
+    discovery, or if the configuration is missing. The range ``LOCALHOST`` becomes an equivalent
+    profile, because with that variable ROS adds shared memory to every profile.
     """
     if not environment.get(_MIDDLEWARE, _FAST_DDS).startswith(_FAST_DDS):
         return {}
-    # The older variable overrules the range, and so must go with it.
+    # The older variable overrides the range, so it must be reset too.
     alone = environment.get(_ALONE) == "1"
     reach = "LOCALHOST" if alone else environment.get(_RANGE, "SUBNET")
     try:
         folder = config_directory() / "middleware"
-    except ConfigurationError:  # what needs the configuration reports it
+    except ConfigurationError:  # reported where the configuration is needed
         return {}
     chosen = [environment[name] for name in _PROFILES if name in environment]
-    # Ours, in force already, unless the user has narrowed the range since.
+    # A profile of ours stays in force unless the user has narrowed the range since.
     if chosen and (Path(chosen[0]).parent != folder or reach != "LOCALHOST"):
         return {}
     if reach == "OFF":
@@ -62,18 +59,18 @@ def socket_settings(environment: Mapping[str, str]) -> dict[str, str]:
 
 
 def use_sockets() -> None:
-    """Let this process, which has no ROS context yet, and its children use sockets only."""
+    """Make this process and its children use sockets only; call it before ROS is initialized."""
     os.environ.update(socket_settings(os.environ))
 
 
 def check_environment(environment: Mapping[str, str]) -> None:
-    """Refuse settings with which the nodes could never find each other.
+    """Reject settings that keep the nodes from discovering each other.
 
-    Call it before rclpy is imported, which ends the process if the middleware is missing.
+    Call it before importing rclpy, which exits the process if the middleware is missing.
 
     Raises:
-        ConfigurationError: If the domain does not exist, discovery is off, or the middleware is
-            not installed.
+        ConfigurationError: If the domain is invalid, discovery is off, or the middleware is not
+            installed.
     """
     domain = environment.get("ROS_DOMAIN_ID", "") or "0"
     if not domain.isascii() or not domain.isdigit() or int(domain) > _HIGHEST_DOMAIN:
@@ -82,8 +79,8 @@ def check_environment(environment: Mapping[str, str]) -> None:
         )
     if environment.get(_RANGE, "").upper() == "OFF":
         raise ConfigurationError(
-            "ROS_AUTOMATIC_DISCOVERY_RANGE is OFF, so that the nodes cannot find each other; set "
-            "it to LOCALHOST or SUBNET"
+            "ROS_AUTOMATIC_DISCOVERY_RANGE is OFF, so the nodes cannot find each other; set it to "
+            "LOCALHOST or SUBNET"
         )
     middleware = environment.get(_MIDDLEWARE, "")
     installed = sorted(set(get_resources("rmw_typesupport")) - {"rmw_implementation"})
@@ -95,11 +92,7 @@ def check_environment(environment: Mapping[str, str]) -> None:
 
 
 def full_namespace(given: str, ros_arguments: Sequence[str] = ()) -> str:
-    """Return the namespace of the run with a leading slash, ``/`` if there is none.
-
-    Args:
-        given: The option, empty if not used.
-        ros_arguments: Command line that may remap ``__ns``.
+    """Return the run's namespace with a leading slash, from the option or a remapping of ``__ns``.
 
     Raises:
         ConfigurationError: If it is not a ROS namespace.
@@ -116,14 +109,10 @@ def full_namespace(given: str, ros_arguments: Sequence[str] = ()) -> str:
 
 @contextlib.contextmanager
 def ros_context(arguments: Sequence[str] = (), domain: int | None = None) -> Iterator[Context]:
-    """Provide an rclpy context that leaves signals alone.
-
-    Args:
-        arguments: Command line with ROS arguments, or nothing.
-        domain: ROS domain id, by default that of the environment.
+    """Provide an rclpy context without signal handlers, by default in the environment's domain.
 
     Raises:
-        ConfigurationError: If the ROS arguments cannot be used.
+        ConfigurationError: If the ROS arguments are invalid.
     """
     import rclpy
     from rclpy.context import Context
@@ -139,7 +128,7 @@ def ros_context(arguments: Sequence[str] = (), domain: int | None = None) -> Ite
             signal_handler_options=SignalHandlerOptions.NO,
         )
     except RuntimeError as error:
-        reason = str(error).split(", at ")[0].splitlines()[0]  # without the place in rcl's sources
+        reason = str(error).split(", at ")[0].splitlines()[0]  # without the location in rcl
         raise ConfigurationError(f"the ROS arguments cannot be used: {reason}") from None
     try:
         yield context
@@ -149,7 +138,7 @@ def ros_context(arguments: Sequence[str] = (), domain: int | None = None) -> Ite
 
 @contextlib.contextmanager
 def graph_node(context: Context, name: str, namespace: str) -> Iterator[Node]:
-    """Provide a node of this process, which has no parameter services."""
+    """Provide a node without parameter services."""
     from rclpy.node import Node
 
     node = Node(name, namespace=namespace, context=context, start_parameter_services=False)

@@ -1,10 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Base of all nodes: configuration from parameters, guarded callbacks, diagnostics.
 
-No callback stops a node. A message or request that is rejected (`TactileHandError`) costs only
-itself. Anything else, and a result that must not be published (`UnsafeOutputError`), was not
-foreseen: it is reported with the line of this package that failed, and the node goes to its safe
-state.
+No callback stops a node. A rejected message or request (`TactileHandError`) has no further effect.
+Any other exception, and a result that must not be published (`UnsafeOutputError`), is unexpected:
+the node reports the line of this package that failed and goes to its safe state.
 """
 
 from __future__ import annotations
@@ -43,37 +42,28 @@ DIAGNOSTICS_PERIOD = 1.0
 """Time between two diagnostic messages [s]."""
 
 PEERS_PERIOD = 0.2
-"""Time between two looks at who is connected [s]: rclpy does not report changes of the graph."""
+"""Period of polling the matched peers [s]; rclpy does not report changes of the graph."""
 
 PUBLICATIONS = "publications"
 SUBSCRIPTIONS = "subscriptions"
-"""With a topic behind it, a key of the diagnostics: how many peers the node has met there."""
+"""Prefixes of diagnostics keys: followed by a topic, the number of matched peers there."""
 
 
 class TickPublisher:
-    """Encodes and publishes messages while there is a subscriber or a tap.
+    """Publisher that encodes messages only while there is a subscriber or a tap.
 
-    Subscribers are those at the last call of `get_subscription_count`; the node looks five times a
-    second.
-
-    A tap is called in the publisher's process with the same bytes, so a recorder there needs no
-    subscription.
+    `get_subscription_count` updates the subscribers; the node calls it five times a second. A tap
+    is a callback in the publisher's process that receives the same bytes, so a recorder there needs
+    no subscription.
 
     Attributes:
         kind: Message class.
         topic: Full name of the topic.
-        qos_profile: Quality of service that it offers.
+        qos_profile: Offered quality of service.
     """
 
     def __init__(self, node: Node, kind: Any, topic: str, encode: Callable[..., bytes]) -> None:
-        """Create the publisher.
-
-        Args:
-            node: The node that publishes.
-            kind: Message class.
-            topic: Relative name of the topic.
-            encode: Makes a serialized message of what is given to `publish`.
-        """
+        """Create the publisher; `encode` serializes the arguments of `publish`."""
         self._encode = encode
         self._publisher = node.create_publisher(kind, topic, qos.tick_publisher_qos())
         self.kind = kind
@@ -84,28 +74,28 @@ class TickPublisher:
         self._last: tuple[Any, ...] | None = None
 
     def add_tap(self, tap: Callable[[bytes], None]) -> None:
-        """Call back with each message from now on, before it is sent."""
+        """Call back with each future message before it is sent."""
         self._taps.append(tap)
 
     @property
     def wanted(self) -> bool:
-        """Whether there is a tap or, at the last look, a subscriber."""
+        """Whether there is a tap or, at the last poll, a subscriber."""
         return self._is_read or bool(self._taps)
 
     def get_subscription_count(self) -> int:
-        """Return the number of matching subscriptions now."""
+        """Return the current number of matched subscriptions."""
         count = int(self._publisher.get_subscription_count())
         self._is_read = count > 0
         return count
 
     def publish(self, *values: Any) -> None:
-        """Publish the message of these values, encoded only for a subscriber or tap."""
+        """Publish a message with these values; encode it only for a subscriber or tap."""
         self._last = values
         if self.wanted:
             self._send(self._encode(*values))
 
     def repeat(self) -> None:
-        """Publish the last message again, also to those that came after it."""
+        """Publish the last message again, also to new subscribers."""
         if self._last is not None:
             self.publish(*self._last)
 
@@ -117,31 +107,26 @@ class TickPublisher:
 
 
 class TactileNode(Node, Generic[C]):
-    """A node whose parameters are one configuration and that survives every callback.
+    """A node whose parameters form one configuration and that survives every callback.
 
-    What a callback of a subscription, service or timer throws is counted and reported.
+    Exceptions in callbacks of subscriptions, services and timers are counted and reported.
 
-    Publishes `/diagnostics` (diagnostic_msgs/DiagnosticArray) once a second, and when a peer has
-    come or gone: that both ends of a topic exist does not mean that they are matched yet.
+    Publishes `/diagnostics` (diagnostic_msgs/DiagnosticArray) once a second and whenever the number
+    of matched peers changes. The ends of a topic may exist before they are matched.
 
     Attributes:
-        diagnostics: Counters and facts to report.
-        tick_publishers: Its publishers of what carries a tick.
-        fatal: Errors after which the node has nothing left to do: they stop it.
+        diagnostics: Counters and values to report.
+        tick_publishers: Publishers of the node's tick messages.
+        fatal: Errors that stop the node.
     """
 
     fatal: tuple[type[Exception], ...] = ()
 
     def __init__(self, name: str, model: type[C], **kwargs: Any) -> None:
-        """Create the node and declare its parameters.
-
-        Args:
-            name: Node name.
-            model: Configuration class, one field per parameter.
-            **kwargs: Passed to `rclpy.node.Node`.
+        """Create the node and declare one parameter per field of the configuration class.
 
         Raises:
-            ConfigurationError: If a parameter that was given is unknown or rejected.
+            ConfigurationError: If a given parameter is unknown or rejected.
         """
         self._is_making_safe = False
         super().__init__(name, **kwargs)
@@ -167,32 +152,23 @@ class TactileNode(Node, Generic[C]):
         return self._config_parameters.config
 
     def check_config(self, config: C) -> None:
-        """Reject a change of parameters that the model alone cannot judge, before it is made.
+        """Reject a parameter change for reasons that the model alone cannot check.
 
         Raises:
-            TactileHandError: Its text is the reason that the user sees.
+            TactileHandError: If rejected; its text is the reason shown to the user.
         """
 
     def on_config(self, config: C) -> None:
-        """Take over a changed configuration; override it where parameters are live."""
+        """Apply a changed configuration; override it if parameters are live."""
 
     def close(self) -> None:
-        """Finish work before the node is destroyed, also after a signal; override at need."""
+        """Finish work before the node is destroyed, also after a signal; override if needed."""
 
     def to_safe_state(self, reason: str) -> None:
-        """Do what is safe after an error that was not foreseen; by default, skip the tick.
-
-        Args:
-            reason: What went wrong, in one line.
-        """
+        """Go to the safe state after an unexpected error; by default, skip the tick."""
 
     def on_rejected(self, source: str, reason: str) -> None:
-        """Answer a message or request that was rejected; by default it is only counted.
-
-        Args:
-            source: The topic or service, as it was named when the node was built.
-            reason: Why, in one line.
-        """
+        """Handle a rejected message or request of a topic or service; by default, do nothing."""
 
     def on_repeat(self) -> None:
         """Publish the last answer to a tick again."""
@@ -200,7 +176,7 @@ class TactileNode(Node, Generic[C]):
             publisher.repeat()
 
     def on_report(self) -> None:
-        """Add what should be in the next diagnostics; override it to report once a second."""
+        """Add values to the next diagnostics; override it to report once a second."""
 
     def _take_config(self, config: C) -> None:
         try:
@@ -222,9 +198,9 @@ class TactileNode(Node, Generic[C]):
         """Return a callback whose errors the node survives.
 
         Args:
-            source: Topic, service or timer that is named when the callback fails.
+            source: Topic, service or timer to name in error reports.
             callback: A plain function.
-            refuse: Returns what a callback that fails returns; takes its arguments and the reason.
+            refuse: Returns the result after a failure, given the callback's arguments and a reason.
         """
 
         @functools.wraps(callback)  # rclpy looks at the signature
@@ -242,7 +218,7 @@ class TactileNode(Node, Generic[C]):
         """Count and time the answer to a tick.
 
         Raises:
-            TickFailedError: After an error, which is the node's own and has been reported.
+            TickFailedError: After an error of the node, which has been reported.
         """
         began = time.perf_counter()
         try:
@@ -256,7 +232,7 @@ class TactileNode(Node, Generic[C]):
     def tick_publisher(
         self, message_type: Any, topic: str, encode: Callable[..., bytes]
     ) -> TickPublisher:
-        """Create a publisher for something that carries a tick."""
+        """Create a publisher of tick messages."""
         self.tick_publishers.append(TickPublisher(self, message_type, topic, encode))
         return self.tick_publishers[-1]
 
@@ -275,15 +251,15 @@ class TactileNode(Node, Generic[C]):
         Args:
             message_type: Message class.
             topic: Relative topic name.
-            callback: Takes the message, bytes if raw, and as a second argument, if it has one, what
-                the middleware reports about it; may raise TactileHandError to reject it.
+            callback: Takes the message (bytes if raw) and optionally its info from the middleware;
+                may raise TactileHandError to reject it.
             profile: Quality of service, by default that of ticks.
-            sensor: Let the user override history, depth and reliability by parameters
-                ``qos_overrides.<full topic>.subscription.reliability`` and so on.
+            sensor: Let users override history, depth and reliability with parameters such as
+                ``qos_overrides.<full topic>.subscription.reliability``.
             raw: Receive serialized bytes.
         """
         options = QoSOverridingOptions.with_default_policies() if sensor else None
-        # A copy: rclpy writes QoS overrides into the profile that it is given.
+        # A copy, because rclpy writes QoS overrides into the given profile.
         own = copy.copy(profile) if profile is not None else qos.tick_qos()
         return self.create_subscription(
             message_type,
@@ -304,7 +280,7 @@ class TactileNode(Node, Generic[C]):
     def create_timer(
         self, timer_period_sec: float, callback: Callable[[], Any], *args: Any, **kwargs: Any
     ) -> Timer:
-        """Create a timer with a guarded callback, by default of a clock that never stands still."""
+        """Create a timer with a guarded callback, by default on the steady clock."""
         guarded = self.guarded(f"timer {_name_of(callback)}", callback)
         kwargs.setdefault("clock", Clock(clock_type=ClockType.STEADY_TIME))
         return super().create_timer(timer_period_sec, guarded, *args, **kwargs)
@@ -320,14 +296,14 @@ class TactileNode(Node, Generic[C]):
         return super().create_service(srv_type, srv_name, guarded, **kwargs)
 
     def reject(self, topic: str, error: TactileHandError | str) -> None:
-        """Count a message that could not be used, and log it now and then."""
+        """Count a rejected message and log it at a limited rate."""
         self.survive(topic, TactileHandError(error) if isinstance(error, str) else error)
 
     def survive(self, source: str, error: Exception) -> None:
-        """Continue after an error, reported and in the safe state where it was not foreseen.
+        """Report an error and continue, in the safe state if the error was unexpected.
 
         Raises:
-            Exception: The error itself if it is `fatal`, or if the context is being shut down.
+            Exception: The error itself if it is `fatal` or the context is shutting down.
         """
         if isinstance(error, self.fatal) or not self.context.ok():
             raise error
@@ -353,7 +329,7 @@ class TactileNode(Node, Generic[C]):
             self._is_making_safe = False
 
     def _look_for_peers(self) -> None:
-        """Report immediately when a peer has come or gone."""
+        """Publish diagnostics immediately when the number of matched peers changes."""
         peers = {**dict.fromkeys(self._peers, 0), **self.peers()}
         if peers != self._peers:
             self._peers = peers
@@ -362,9 +338,9 @@ class TactileNode(Node, Generic[C]):
             self.publish_diagnostics()
 
     def peers(self) -> dict[str, int]:
-        """Return how many matched peers each topic has, by key of the diagnostics.
+        """Return the number of matched peers per topic, by diagnostics key.
 
-        What is reported as matched is sent from now on.
+        Publishers start sending to the subscribers counted here.
         """
         for publisher in self.tick_publishers:
             publisher.get_subscription_count()
@@ -373,7 +349,7 @@ class TactileNode(Node, Generic[C]):
         return sent | received
 
     def publish_diagnostics(self) -> None:
-        """Publish the state of the node; the timer calls it, a node may too."""
+        """Publish the state of the node; called by a timer, or by the node at any time."""
         self.on_report()
         report_scheduling(self.diagnostics)
         message = DiagnosticArray(status=[self.diagnostics.status()])

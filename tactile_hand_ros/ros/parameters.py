@@ -42,13 +42,13 @@ _ARRAYS = {
 }
 _OF_ROS = ("use_sim_time", "start_type_description_service")
 _QOS_PREFIX = "qos_overrides."
-_LONGEST_REASON = 2000  # characters; a reason may repeat the value
+_LONGEST_REASON = 2000  # characters; a reason may quote the value
 
 
 class ConfigParameters(Generic[C]):
     """The parameters of one node, declared from a model and kept equal to a validated config.
 
-    A change is refused as a whole, with the reason, or taken as a whole.
+    A change is atomic: it is accepted or rejected as a whole.
 
     Attributes:
         config: The configuration in force.
@@ -61,17 +61,17 @@ class ConfigParameters(Generic[C]):
         on_change: Callable[[C], None] = lambda _: None,
         check: Callable[[C], None] = lambda _: None,
     ) -> None:
-        """Declare every field of the model with the values given at the start.
+        """Declare every field of the model with its initial value.
 
         Args:
             node: The node.
             model: The configuration class.
             on_change: Called with the new configuration after each accepted change.
-            check: Called with the new configuration before; may raise TactileHandError to refuse
-                what the model alone cannot judge.
+            check: Called with the new configuration before; may raise TactileHandError to reject
+                it for reasons that the model alone cannot check.
 
         Raises:
-            ConfigurationError: If a given value is refused or no field has the given name.
+            ConfigurationError: If a given value is rejected or no field has the given name.
         """
         self._node = node
         self._model = model
@@ -86,8 +86,8 @@ class ConfigParameters(Generic[C]):
         node.add_post_set_parameters_callback(self._apply)
 
     def _given(self) -> dict[str, Any]:
-        """Return what files and command line set, as plain values by field name."""
-        # rclpy offers no public way to see overrides before they are declared.
+        """Return the values set by files and command line, by field name."""
+        # rclpy has no public access to overrides before they are declared.
         overrides: Mapping[str, Parameter] = self._node._parameter_overrides
         source = self._node.get_fully_qualified_name()
         known = {*self._fields, *_OF_ROS}
@@ -99,7 +99,7 @@ class ConfigParameters(Generic[C]):
         }
 
     def _refuse(self, unknown: list[str]) -> None:
-        """Refuse unknown parameters; those of a file may be meant for other nodes, so only warn."""
+        """Reject unknown parameters; only warn about those of a file, which other nodes may use."""
         source = self._node.get_fully_qualified_name()
         for name in unknown:
             hint = did_you_mean(name, list(self._fields))
@@ -110,7 +110,7 @@ class ConfigParameters(Generic[C]):
             self._node.get_logger().warning(f"ignored the unknown parameter '{name}'{hint}")
 
     def _declare(self) -> None:
-        """Declare the types, then set the values: only so an empty array keeps its type."""
+        """Declare the types, then set the values; otherwise an empty array would lose its type."""
         types = [(name, ros_type(field), descriptor(field)) for name, field in self._fields.items()]
         self._node.declare_parameters("", types, ignore_override=True)
         values = flatten(self.config)
@@ -124,7 +124,7 @@ class ConfigParameters(Generic[C]):
                 self._node.set_descriptor(name, descriptor(field, read_only=True))
 
     def _with_declared_types(self, parameters: list[Parameter]) -> list[Parameter]:
-        """Let ``1`` pass for ``1.0`` and give empty arrays the declared type."""
+        """Accept ``1`` as ``1.0`` and give empty arrays their declared type."""
         return [
             _retyped(parameter, ros_type(self._fields[parameter.name]))
             if parameter.name in self._fields
@@ -137,7 +137,7 @@ class ConfigParameters(Generic[C]):
             self._further_check(self._candidate(parameters))
         except TactileHandError as error:
             return SetParametersResult(successful=False, reason=str(error)[:_LONGEST_REASON])
-        except Exception as error:  # of the validation, such as a nesting that is too deep
+        except Exception as error:  # such as nesting that is too deep for the validation
             return SetParametersResult(successful=False, reason=described(error))
         return SetParametersResult(successful=True)
 
@@ -156,10 +156,10 @@ class ConfigParameters(Generic[C]):
 
 
 def with_known_types(callback: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Any]:
-    """Return a service callback that rejects parameters of a type that ROS does not have.
+    """Return a service callback that rejects parameters whose type number ROS does not define.
 
     Raises:
-        MessageError: From the callback; that of rclpy raises ValueError, which is no refusal.
+        MessageError: From the callback. rclpy would raise ValueError, which is not a rejection.
     """
 
     def checked(request: Any, response: Any) -> Any:
@@ -206,13 +206,13 @@ def ros_type(field: FieldInfo) -> Parameter.Type:
 
 
 def from_ros(field: FieldInfo, value: Any, place: str = "") -> Any:
-    """Convert the value of a ROS parameter to what the field takes.
+    """Convert the value of a ROS parameter to a value of the field.
 
     Raises:
-        ConfigurationError: If a list item that must be a YAML mapping is not YAML.
+        ConfigurationError: If a list item that must be a YAML mapping is not valid YAML.
     """
     if not is_sequence(field.annotation):
-        # ROS types are strict, a configuration is not: 1 is as good as 1.0.
+        # Unlike ROS types, a configuration accepts 1 for 1.0.
         return float(value) if type(value) is int and field.annotation is float else value
     items = [] if value is None else list(value) if not isinstance(value, str) else value
     if is_config(element_type(field.annotation)) and isinstance(items, list):
@@ -221,7 +221,7 @@ def from_ros(field: FieldInfo, value: Any, place: str = "") -> Any:
 
 
 def to_ros(field: FieldInfo, value: Any) -> Any:
-    """Convert the value of a field to what a ROS parameter takes."""
+    """Convert the value of a field to the value of a ROS parameter."""
     if is_sequence(field.annotation):
         return [_scalar_to_ros(item) for item in value]
     return _scalar_to_ros(value)
@@ -254,7 +254,7 @@ def to_parameters(config: Config) -> list[ParameterMessage]:
 
 
 def descriptor(field: FieldInfo, *, read_only: bool = False) -> ParameterDescriptor:
-    """Describe a field to ROS: text with unit, type, what is allowed, and whether it may change."""
+    """Return the ROS descriptor of a field: text, unit, type, allowed values and read-only flag."""
     unit = unit_of(field)
     return ParameterDescriptor(
         type=ros_type(field).value,
@@ -265,17 +265,9 @@ def descriptor(field: FieldInfo, *, read_only: bool = False) -> ParameterDescrip
 
 
 def to_params_yaml(config: Config, node_name: str) -> str:
-    """Write a configuration as a ROS parameter file.
-
-    Args:
-        config: The configuration.
-        node_name: Node that takes the values, in any namespace.
-
-    Returns:
-        Text for ``--params-file``.
-    """
+    """Return a configuration as text for ``--params-file``, for a node in any namespace."""
     fields = leaves(type(config))
-    # JSON, one line per value: rcl takes unquoted words such as y or 1e3 for more than texts.
+    # JSON, one line per value: rcl does not read unquoted words such as y or 1e3 as strings.
     lines = [
         f"    {name}: {json.dumps(to_ros(fields[name], value), ensure_ascii=False)}\n"
         for name, value in flatten(config).items()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Find this package's executables, and run processes that end with all that they have started."""
+"""Find this package's executables, and run processes that end together with their children."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ PACKAGE = "tactile_hand_ros"
 
 
 class ExecutableError(TactileHandError):
-    """An executable of this package that cannot be found."""
+    """An executable of this package that was not found."""
 
 
 def executable_directory() -> Path:
-    """Return ``<prefix>/lib/tactile_hand_ros``, the only place where ``ros2 run`` looks.
+    """Return ``<prefix>/lib/tactile_hand_ros``, the only folder that ``ros2 run`` searches.
 
     Raises:
-        ExecutableError: The package is not in the ament index.
+        ExecutableError: If the package is not in the ament index.
     """
     try:
         prefix = get_package_prefix(PACKAGE)
@@ -37,7 +37,7 @@ def executable_directory() -> Path:
         searched = os.environ.get("AMENT_PREFIX_PATH", "")
         raise ExecutableError(
             f"The ament index at AMENT_PREFIX_PATH='{searched}' has no {PACKAGE}:"
-            " build it (make setup, or colcon build) and source or set the prefix."
+            " build it (make setup, or colcon build) and source its setup file."
         ) from error
     return Path(prefix) / "lib" / PACKAGE
 
@@ -48,25 +48,22 @@ def executable_names() -> list[str]:
 
 
 def executable_path(name: str) -> Path:
-    """Return the file that ``ros2 run tactile_hand_ros <name>`` would start.
-
-    Args:
-        name: Name of the executable, such as ``plant``.
+    """Return the file that ``ros2 run tactile_hand_ros <name>`` starts.
 
     Raises:
-        ExecutableError: No such executable.
+        ExecutableError: If there is no such executable.
     """
     path = executable_directory() / name
     if not name or Path(name).name != name or not _runs(path):
         known = ", ".join(executable_names())
-        raise ExecutableError(f"There is no executable '{name}': choose one of {known}.")
+        raise ExecutableError(f"There is no executable '{name}'; choose one of {known}.")
     return path
 
 
 def child_environment() -> dict[str, str]:
     """Return the environment for a child process, with this interpreter first on PATH.
 
-    The executables start with ``#!/usr/bin/env python3``: without an activated virtual environment
+    The executables start with ``#!/usr/bin/env python3``. Without an activated virtual environment
     they would find another Python.
     """
     environment = dict(os.environ)
@@ -76,40 +73,35 @@ def child_environment() -> dict[str, str]:
 
 
 def _runs(path: Path) -> bool:
-    """Return whether a path is a file with its run bit set."""
+    """Return whether a path is an executable file."""
     return path.is_file() and os.access(path, os.X_OK)
 
 
 _POLL_SECONDS = 0.002
 _STOP_SECONDS = 5.0
-# How long a signal may take until the next, harder one.
+# Signals from soft to hard, with the time [s] until the next.
 _PATIENCE = ((signal.SIGINT, _STOP_SECONDS), (signal.SIGTERM, 2.0), (signal.SIGKILL, _STOP_SECONDS))
 _HAS_ENDED = os.WEXITED | os.WNOHANG | os.WNOWAIT
 
 
 def wait_until(condition: Callable[[], Any], timeout: float = 10.0, message: str = "") -> Any:
-    """Wait until a condition is true and return its value.
-
-    Args:
-        condition: Asked again and again.
-        timeout: Longest wait [s].
-        message: What was waited for, for the error.
+    """Wait until a condition is true and return its value; `message` names it in the error.
 
     Raises:
-        TimeoutError: If the condition stays false.
+        TimeoutError: If the condition is still false after `timeout` [s].
     """
     deadline = time.monotonic() + timeout
-    pause = threading.Event()  # which signals do not cut short
+    pause = threading.Event()  # signals do not interrupt its wait
     while not (result := condition()):
         if time.monotonic() > deadline:
             what = message or getattr(condition, "__name__", "the condition")
-            raise TimeoutError(f"waited {timeout:g} s in vain for {what}")
+            raise TimeoutError(f"timed out after {timeout:g} s waiting for {what}")
         pause.wait(_POLL_SECONDS)
     return result
 
 
 class ChildProcess:
-    """A process that leads a session of its own: a Ctrl-C in the terminal does not reach it."""
+    """A child process in its own session, which Ctrl-C in the terminal does not reach."""
 
     def __init__(
         self,
@@ -119,14 +111,7 @@ class ChildProcess:
         *,
         env: Mapping[str, str] | None = None,
     ) -> None:
-        """Start it.
-
-        Args:
-            command: Program and arguments.
-            stdout: File for the standard output.
-            stderr: File for the standard error, or ``subprocess.STDOUT``.
-            env: Variables to set or change.
-        """
+        """Start the process; `env` holds the variables to set or change."""
         self.command = [os.fspath(part) for part in command]
         self._process = subprocess.Popen(
             self.command,
@@ -139,14 +124,14 @@ class ChildProcess:
 
     @property
     def pid(self) -> int:
-        """The process id, which is the id of its group too."""
+        """The process id, which is also the id of its group."""
         return int(self._process.pid)
 
     @property
     def returncode(self) -> int | None:
-        """The exit code, None while the process runs; with it, all that it has started ends."""
+        """The exit code, or None while the process runs; after its exit, its group is killed."""
         if self._process.returncode is None and os.waitid(os.P_PID, self.pid, _HAS_ENDED):
-            # Before it is reaped: then its number could be that of another group.
+            # Before the process is reaped; afterwards its id could belong to another group.
             os.killpg(self.pid, signal.SIGKILL)
         return self._process.poll()
 
@@ -155,13 +140,13 @@ class ChildProcess:
         self._process.send_signal(number)
 
     def send_to_group(self, number: int) -> None:
-        """Send a signal to the process and all that it has started, as a terminal does."""
+        """Send a signal to the process and its children, as a terminal does."""
         if self.returncode is None:
             os.killpg(self.pid, number)
 
 
 def end_together(processes: Sequence[ChildProcess]) -> None:
-    """End processes, and all that they have started, together: SIGINT first, SIGKILL last."""
+    """End processes and their children together: SIGINT first, SIGKILL last."""
 
     def have_ended() -> bool:
         return all(process.returncode is not None for process in processes)

@@ -43,14 +43,14 @@ def run_nodes(
     Before a node is destroyed its ``close()`` is called, if it has one.
 
     Args:
-        make: Makes the nodes, one after the other.
-        args: Command line with program name; None takes ``sys.argv``. Besides ROS arguments it may
-            ask for SCHED_FIFO, see `scheduling`.
-        described: What ``--help`` shows the docstrings of.
+        make: Creates the nodes, one after the other.
+        args: Command line with program name, by default ``sys.argv``. Besides ROS arguments it may
+            contain the option of `scheduling`.
+        described: Objects whose docstrings ``--help`` prints.
 
     Returns:
-        0 after a normal stop, 1 when a node failed while running, 2 when the configuration
-        was rejected; the reason is one sentence on stderr.
+        0 after a normal stop, 1 if a node failed while running, 2 if the configuration was
+        rejected. The reason is printed to stderr.
     """
     line = list(sys.argv if args is None else args)
     _let_signals_shut_down()
@@ -62,13 +62,13 @@ def run_nodes(
         if not _was_signalled:
             for node in nodes:
                 node.get_logger().info("ready")
-    except BaseException as error:  # every way to fail must take down what was built
+    except BaseException as error:  # after any failure, destroy the nodes created so far
         return _stop(nodes, _code_of(error, EXIT_REFUSED))
     return _stop(nodes, _serve(nodes, scheduling))
 
 
 def _serve(nodes: Sequence[Node], scheduling: Scheduling) -> int:
-    gc.freeze()  # what exists now lives as long as the process
+    gc.freeze()  # existing objects live as long as the process
     gc.enable()
     try:
         scheduling.raise_priority()
@@ -79,7 +79,7 @@ def _serve(nodes: Sequence[Node], scheduling: Scheduling) -> int:
 
 
 def _code_of(error: BaseException, code: int) -> int:
-    """Return the exit code for an error, and show what the user should see of it."""
+    """Return the exit code for an error, and print the error for the user."""
     if isinstance(error, KeyboardInterrupt | ExternalShutdownException):
         return EXIT_OK
     if isinstance(error, TactileHandError):
@@ -87,7 +87,7 @@ def _code_of(error: BaseException, code: int) -> int:
         return code
     if isinstance(error, SystemExit) and isinstance(error.code, int):
         return error.code
-    # A callback that meets a context which a signal took away is no failure.
+    # It is no failure if a signal shut down the context during a callback.
     if isinstance(error, _WITHOUT_CONTEXT) and _was_signalled:
         return EXIT_OK
     sys.excepthook(type(error), error, error.__traceback__)
@@ -95,28 +95,28 @@ def _code_of(error: BaseException, code: int) -> int:
 
 
 _WITHOUT_CONTEXT = (RuntimeError, InvalidHandle, NotInitializedException)
-"""What rclpy raises then; errors of rcl are RuntimeErrors."""
+"""Exceptions of rclpy without a valid context; errors of rcl are RuntimeErrors."""
 
 _was_signalled = False
 
 
 def _let_signals_shut_down() -> None:
-    """Make the first signal only shut down the context, so that no callback is torn apart."""
+    """Make the first signal only shut down the context, so that no callback is interrupted."""
     global _was_signalled
     _was_signalled = False
     signal.signal(signal.SIGINT, _note_signal)
     signal.signal(signal.SIGTERM, _note_signal)
-    if signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:  # as nohup has it
+    if signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:  # ignored under nohup
         signal.signal(signal.SIGHUP, _terminate)
 
 
 def _terminate(number: int, frame: FrameType | None) -> None:
-    """Stop as after SIGTERM, which rclpy handles: the terminal was closed."""
+    """Stop as after SIGTERM, which rclpy handles, because the terminal was closed."""
     os.kill(os.getpid(), signal.SIGTERM)
 
 
 def _ignore_signals() -> None:
-    """Finish what is being closed: when a parent dies, the kernel signals once per thread of it."""
+    """Ignore signals while closing; a dying parent sends one for each of its threads."""
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)
 
@@ -131,13 +131,10 @@ def _note_signal(number: int, frame: FrameType | None) -> None:
 
 
 def _init(line: list[str], described: Sequence[Callable[..., Any]]) -> Scheduling:
-    """Let the kernel schedule the process as asked, and initialize rclpy.
-
-    Returns:
-        What was asked for.
+    """Initialize rclpy and return the requested scheduling.
 
     Raises:
-        ConfigurationError: If the command line or a parameter file cannot be read.
+        ConfigurationError: If the command line or a parameter file is invalid.
     """
     use_sockets()
     try:
@@ -166,7 +163,7 @@ def _help(described: Sequence[Callable[..., Any]]) -> str:
 
 
 def _stop(nodes: Sequence[Node], code: int) -> int:
-    """Close and destroy the nodes and leave rclpy as before."""
+    """Close and destroy the nodes, shut rclpy down and return the exit code."""
     _ignore_signals()
     for node in reversed(nodes):
         try:
@@ -179,4 +176,4 @@ def _stop(nodes: Sequence[Node], code: int) -> int:
 
 
 def _nothing() -> None:
-    """Stand in for what a node does not have."""
+    """Do nothing: a placeholder for a missing method."""

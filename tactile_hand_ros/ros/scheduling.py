@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How a process runs: with SCHED_FIFO where the command line asks for it.
+"""Scheduling of a process: SCHED_FIFO if the command line requests it.
 
-What the system does not permit does not stop the node: it runs as before and reports it in its
+If the system does not permit it, the node runs with normal scheduling and reports this in its
 diagnostics.
 """
 
@@ -26,30 +26,30 @@ _POLICIES = {
 }
 _HIGHEST = 99
 _RESENDING = "dds.asyn"
-"""What names of Fast DDS's threads start with that send again what a subscriber missed."""
+"""Name prefix of the Fast DDS threads that resend lost messages."""
 
 _refusals: list[str] = []
 
 
 @dataclass(frozen=True)
 class Scheduling:
-    """What is asked of the kernel.
+    """The requested scheduling.
 
     Attributes:
-        priority: Priority among SCHED_FIFO processes, 1 to 99; 0 leaves the policy as it is.
+        priority: Priority among SCHED_FIFO processes, 1 to 99; 0 leaves the policy unchanged.
     """
 
     priority: int = 0
 
     @property
     def arguments(self) -> list[str]:
-        """The words that ask an executable for it."""
+        """The command-line arguments that request it from an executable."""
         return [PRIORITY, str(self.priority)] if self.priority else []
 
     def raise_priority(self) -> None:
-        """Set the priority of all threads that there are, when all nodes have been made.
+        """Set the priority of all existing threads; call it when all nodes have been created.
 
-        Not earlier: what a start takes, and a process that it starts, must not keep others waiting.
+        Earlier, the startup work and any child process would block other processes.
         """
         _refusals.clear()
         if not self.priority:
@@ -64,11 +64,10 @@ class Scheduling:
 
 
 def yield_while_resending() -> None:
-    """Give threads that send lost messages again the lowest priority among SCHED_FIFO.
+    """Give the threads that resend lost messages the lowest SCHED_FIFO priority.
 
-    Such a thread asks in a loop, without sleeping, until the thread that publishes has taken a
-    message back. Two threads with the same priority never make way for each other: on two
-    processors, two of them stopped two runs for good within minutes.
+    Such a thread polls without sleeping until the publishing thread has removed a message. Threads
+    of equal priority do not preempt each other, so two of them block two processors for good.
     """
     for thread in _threads():
         with contextlib.suppress(OSError):  # it has ended, or was never real-time
@@ -78,13 +77,7 @@ def yield_while_resending() -> None:
 
 
 def take_scheduling(words: Sequence[str]) -> tuple[Scheduling, list[str]]:
-    """Read the option out of a command line.
-
-    Args:
-        words: Arguments without those of ROS.
-
-    Returns:
-        What is asked for, and the words that are left.
+    """Parse the option; return the scheduling and the other arguments.
 
     Raises:
         ConfigurationError: If the value is missing or not allowed.
@@ -101,7 +94,7 @@ def take_scheduling(words: Sequence[str]) -> tuple[Scheduling, list[str]]:
 
 
 def parse_priority(text: str) -> int:
-    """Read a priority.
+    """Parse a priority.
 
     Raises:
         ConfigurationError: If it is not an integer from 0 to 99.
@@ -109,13 +102,13 @@ def parse_priority(text: str) -> int:
     if not text.isdecimal() or int(text) > _HIGHEST:
         raise ConfigurationError(
             f"{PRIORITY} is '{text}', expected a whole number from 1 to {_HIGHEST}, or 0 for"
-            " ordinary scheduling."
+            " normal scheduling."
         )
     return int(text)
 
 
 def report_scheduling(diagnostics: Diagnostics) -> None:
-    """Put policy and priority in force into diagnostics, and what was refused."""
+    """Add policy, priority and denied requests to the diagnostics."""
     number = os.sched_getscheduler(0)
     diagnostics.value("scheduling_policy", _POLICIES.get(number, str(number)))
     diagnostics.value("scheduling_priority", os.sched_getparam(0).sched_priority)
@@ -123,7 +116,7 @@ def report_scheduling(diagnostics: Diagnostics) -> None:
 
 
 def _threads() -> list[int]:
-    """Return the threads of this process; libraries start some when they are loaded."""
+    """Return the ids of all threads of this process, including those of libraries."""
     return [int(name) for name in os.listdir("/proc/self/task")]
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a tick consists of: each stream of messages is declared once, with its topic and codec."""
+"""The streams of messages that form a tick, each declared once with its topic and codec."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ from tactile_hand_ros.ros.messages import ContactsCodec, ImuCodec, JointCodec, W
 
 Array = NDArray[np.float64]
 Decode = Callable[[bytes], tuple[int, Any]]
-"""From the bytes of a message to its tick [ns] and its value; raises MessageError."""
+"""Function from the bytes of a message to its tick [ns] and value; raises MessageError."""
 
 
 @dataclass(frozen=True)
 class Stream:
-    """One input of a node: a topic, or one topic for each finger.
+    """One input of a node: a topic, or one topic per finger.
 
     Attributes:
         message_type: Message class of the topics.
-        decoders: How to read each topic, by its relative name.
-        per_finger: Whether the values of the topics form one array, a row per finger.
+        decoders: Decoder of each topic, by relative name.
+        per_finger: Whether the values of the topics form one array, with a row per finger.
         from_driver: Whether a driver may publish it, so that users may override its QoS.
     """
 
@@ -38,13 +38,13 @@ class Stream:
 
 
 def joints(joint_names: Sequence[str]) -> Stream:
-    """Declare the joint states; values are `Joints`. A message may have an arm's joints too."""
+    """Declare the joint states; values are `Joints`. Joints of an arm are ignored."""
     codec = JointCodec(joint_names, others=True)
     return Stream(JointState, {names.JOINT_STATES: codec.decode_joints}, from_driver=True)
 
 
 def imu() -> Stream:
-    """Declare how the palm lies in the world; values are quaternions (x, y, z, w), shape (4,)."""
+    """Declare the palm's orientation in the world; values are quaternions (x, y, z, w)."""
     return Stream(Imu, {names.IMU: ImuCodec().decode}, from_driver=True)
 
 
@@ -60,7 +60,7 @@ def forces(finger_names: Sequence[str]) -> Stream:
 
 
 def optimal_forces(finger_names: Sequence[str]) -> Stream:
-    """Declare f*; values in contact frames, shape (k, 3), NaN where (13) has no answer."""
+    """Declare f*; values in contact frames, shape (k, 3), N, NaN where (13) has no solution."""
     return _wrenches(names.optimal_force, finger_names, nan_allowed=True)
 
 
@@ -71,7 +71,7 @@ def grasp_force() -> Stream:
 
 
 def loads(finger_names: Sequence[str]) -> Stream:
-    """Declare what the fingers carry; values in contact frames, (k, 3), N, NaN without a grasp."""
+    """Declare the loads of the fingers; in contact frames, (k, 3), N, NaN without a grasp."""
     return _wrenches(names.load, finger_names, nan_allowed=True)
 
 

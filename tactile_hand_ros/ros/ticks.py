@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The inputs of a node: the messages of one tick, joined by stamp.
+"""The inputs of a node: the messages of one tick, joined by timestamp.
 
-Every node that answers ticks declares its streams and gets `on_tick(stamp, *values)` when a tick
-is complete. Nothing else joins messages.
+Every node that answers ticks declares its streams and gets `on_tick(stamp, *values)` when a tick is
+complete. No other code joins messages.
 """
 
 from __future__ import annotations
@@ -21,46 +21,36 @@ from tactile_hand_ros.ros.streams import Decode, Stream
 
 _SECOND = 1_000_000_000
 _MILLISECOND = 1_000_000
-_SHORTEST_LEAP = 100_000_000  # ns; ticks that come in a row are nearer
+_SHORTEST_LEAP = 100_000_000  # ns; consecutive ticks are closer
 _HIGHEST = 64  # rank of the first tick
 
 
 class StampMatcher:
-    """Collects one value per key and stamp, and gives the values of a stamp when all are there.
+    """Collects one value per key and timestamp, and returns the values of a complete timestamp.
 
-    Sets come in the order of their stamps and never mix stamps. A set that stays incomplete is
-    given up when a newer one is complete. A complete set at stamp 0, or more than a second before
-    the last one, means that the senders have started over: everything else is forgotten then. A
-    single old message means nothing.
+    Complete sets are returned in the order of their timestamps. An incomplete set is dropped when a
+    newer one is complete. A complete set at timestamp 0, or more than a second before the last one,
+    means that the senders have restarted; all other sets are then dropped. A single old message has
+    no effect.
 
     Attributes:
         keys: One key per stream.
-        last: The newest complete stamp [ns], None before the first.
-        pending: Values of incomplete stamps.
+        last: The newest complete timestamp [ns], None before the first.
+        pending: Values of incomplete timestamps.
     """
 
     def __init__(self, keys: Sequence[str], memory: int = 100) -> None:
-        """Name the streams.
-
-        Args:
-            keys: One key per stream.
-            memory: Incomplete stamps that are kept; the first to come are the first to go.
-        """
+        """Set the keys, and the number of incomplete timestamps to keep, oldest dropped first."""
         self.keys = tuple(keys)
         self.last: int | None = None
         self.pending: dict[int, dict[str, Any]] = {}
         self._memory = memory
 
     def put(self, key: str, stamp_ns: int, value: Any) -> tuple[Any, ...] | None:
-        """Add a value.
-
-        Args:
-            key: Stream of the value.
-            stamp_ns: Its tick [ns].
-            value: The value; a later one of the same tick replaces it.
+        """Add a value of a tick [ns], replacing an earlier one.
 
         Returns:
-            All values of the tick in the order of the keys when this one made it complete.
+            All values of the tick in the order of the keys if it is now complete, else None.
         """
         last = self.last
         is_old = last is not None and 0 < stamp_ns <= last and last - stamp_ns <= _SECOND
@@ -70,17 +60,17 @@ class StampMatcher:
         values[key] = value
         if len(values) == len(self.keys):
             has_restarted = last is not None and stamp_ns < last
-            # After a restart whatever waits at later stamps is from before it.
+            # After a restart, all later pending timestamps date from before it.
             waiting = {} if has_restarted else self.pending
             self.pending = {t: kept for t, kept in waiting.items() if t > stamp_ns}
             self.last = stamp_ns
             return tuple([values[key] for key in self.keys])
         if len(self.pending) > self._memory:
-            del self.pending[next(iter(self.pending))]  # the first that came, in any epoch
+            del self.pending[next(iter(self.pending))]  # the first to arrive
         return None
 
     def missing(self, stamp_ns: int) -> list[str]:
-        """Return the keys that a stamp [ns] still waits for; none when it is not waited for."""
+        """Return the missing keys of a timestamp [ns]; an empty list if it is not pending."""
         values = self.pending.get(stamp_ns)
         return [] if values is None else [key for key in self.keys if key not in values]
 
@@ -88,33 +78,29 @@ class StampMatcher:
 _NUMBER = "publication_sequence_number"
 
 _LASTING = 0.5
-"""Time after which one fall of the numbers, and a conflict, are over [s]."""
+"""Time after which a drop of the sequence numbers, or a conflict, is forgotten [s]."""
 
 
 def two_senders(topic: str) -> str:
-    """Return what is wrong when two publishers send on a topic."""
+    """Return the error text for two publishers on a topic."""
     return f"two senders of {topic}; stop one of them (two hands need two namespaces)"
 
 
 class SenderCheck:
-    """Finds two publishers of a topic by the sequence numbers of their messages.
+    """Detects two publishers on a topic by the sequence numbers of their messages.
 
-    The middleware numbers the messages of each publisher 1, 2, 3, ... From one publisher the
-    numbers rise. A successor of one that was killed starts again at 1, so they fall once. Where two
-    send in turn, the numbers fall again and again. The number of publishers does not show it: a
-    publisher that was killed counts for ten seconds more, and its successor must be let in before.
-    Where the middleware gives no numbers, nothing is found.
+    The middleware numbers the messages of each publisher 1, 2, 3, ... With one publisher the
+    numbers rise. The successor of a killed publisher restarts at 1, so they drop once. With two
+    publishers they drop again and again. Counting publishers does not work: a killed publisher
+    counts for ten more seconds, and its successor must be accepted earlier. Without sequence
+    numbers from the middleware, nothing is detected.
 
     Attributes:
-        conflicts: How many messages showed a second sender.
+        conflicts: Number of messages that revealed a second sender.
     """
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
-        """Start without messages.
-
-        Args:
-            clock: Time [s].
-        """
+        """Start without messages; `clock` is in seconds."""
         self._clock = clock
         self._last = 0
         self._fell: float | None = None
@@ -122,7 +108,7 @@ class SenderCheck:
         self.conflicts = 0
 
     def note(self, info: Mapping[str, Any]) -> bool:
-        """Note what the middleware reports about a message; return whether two senders send."""
+        """Check the middleware's info on a message; return whether there are two senders."""
         number = info.get(_NUMBER)
         if number is None:
             return False
@@ -142,26 +128,22 @@ class SenderCheck:
 
 
 def rank(stamp_ns: int, previous_ns: int | None) -> int:
-    """Return the rank of a tick after another one [ns]; without one it is the highest."""
+    """Return the rank of a tick [ns], given the previous one; the first has the highest rank."""
     if previous_ns is None:
         return _HIGHEST
     return (stamp_ns // _MILLISECOND ^ previous_ns // _MILLISECOND).bit_length() - 1
 
 
 def chosen(stamps: Sequence[int], previous: int | None) -> list[int]:
-    """Return which of several complete ticks are answered; the others are skipped.
+    """Return which of several complete ticks [ns], oldest first, to answer; the others are skipped.
 
-    A node that is slower than its ticks and answers all of them answers ever older ones. This
-    cannot happen in lockstep, but it can in real time. So of several ticks that wait together some
-    are skipped. But a consumer that needs the answers of two nodes to the same tick gets neither
-    if each node skips other ticks. Each tick therefore has a rank: n where it is the first one in
-    a stretch of 2^n ms but not of 2^(n+1) ms. It is skipped only where one of higher rank waits
-    behind it. That one comes no sooner than 2^n ms less one period later, so no node that lags by
-    less skips it, and all nodes meet again and again, however they lag.
-
-    Args:
-        stamps: What waits, oldest first [ns].
-        previous: The tick before them [ns], None if there was none.
+    A node that is slower than its ticks would lag ever further if it answered all of them. This
+    cannot happen in lockstep, but it can in real time. So if several ticks wait, some are skipped.
+    If each node skipped different ticks, a consumer that needs the answers of two nodes to the same
+    tick would get neither. Each tick therefore has a rank: n if it is the first in a window of
+    2^n ms but not of 2^(n+1) ms. It is skipped only if a tick of higher rank waits behind it. That
+    tick comes at least 2^n ms minus one period later, so a node that lags less does not skip it.
+    All nodes therefore regularly answer the same ticks, regardless of their lag.
     """
     ranks = [
         rank(stamp, before) for stamp, before in zip(stamps, [previous, *stamps], strict=False)
@@ -176,20 +158,20 @@ def chosen(stamps: Sequence[int], previous: int | None) -> list[int]:
 
 
 class TickInputs:
-    """Subscribes to streams, joins them by stamp, skips late ticks and watches for silence.
+    """Subscribes to streams, joins them by timestamp, skips late ticks and detects silence.
 
-    The first stream is the trigger. When it repeats an answered tick, the last answer is published
-    again. A trigger far ahead, by more than a tenth of a second and twice the last step, is ignored
-    until a second one confirms it: one wrong stamp must not take a node ahead, where it would
-    ignore all that comes. While two publishers send it, no tick is answered: which one is right
-    cannot be known, and the driver holds.
+    The first stream is the trigger. If it repeats an answered tick, the last answer is published
+    again. A trigger that leaps ahead by more than 0.1 s and twice the last step is ignored until a
+    second one confirms it; otherwise one wrong timestamp would make the node ignore all later
+    messages. While two publishers send the trigger, no tick is answered, because neither can be
+    trusted; the driver holds.
 
-    While the trigger continues without the others for a time-out, its values are passed on alone
-    and immediately, until a complete tick arrives. Silence of the trigger itself does not count:
-    then there is nothing to answer. The time must have passed by the stamps and by the wall clock.
-    By the stamps, because in lockstep they do not advance while a tick waits for its inputs: all
-    nodes wait for the one that stalls, and no result depends on how fast the machine is. By the
-    wall clock, because one stamp that lies ahead does not mean that time has passed.
+    If the trigger continues without the other streams for the timeout, its values are passed on
+    alone, immediately, until a complete tick arrives. Silence of the trigger itself does not count,
+    because there is no tick to answer. The timeout must pass both in timestamps and on the wall
+    clock. In lockstep, timestamps do not advance while a tick waits for its inputs, so all nodes
+    wait for a stalled one and no result depends on the machine's speed. The wall clock guards
+    against a single timestamp that is too far ahead.
     """
 
     def __init__(
@@ -206,15 +188,14 @@ class TickInputs:
 
         Args:
             node: Node that subscribes and reports.
-            streams: What a tick consists of; the first is the trigger and has one topic.
-            listener: In general the node. Has `on_tick(stamp, *values)`, which answers a tick [ns],
-                `on_repeat()`, which publishes the last answer again, `on_restart()` for stamps that
-                start over and, with `silence`, `on_blind_tick(stamp, trigger, reason)`, which gets
-                the value of the first stream alone.
-            silence: Time after which inputs count as missing [s]; None never passes on a tick that
-                is not complete.
-            observe: Takes what `on_tick` would, for each tick that is skipped, in its turn: for a
-                node that has to process every sample although it answers only the newest.
+            streams: Streams of a tick; the first is the trigger and has one topic.
+            listener: Usually the node. Has `on_tick(stamp, *values)` to answer a tick [ns],
+                `on_repeat()` to publish the last answer again, `on_restart()` for timestamps that
+                start over and, with `silence`, `on_blind_tick(stamp, trigger, reason)` to answer
+                the first stream alone.
+            silence: Timeout of missing inputs [s]; None never passes on an incomplete tick.
+            observe: Called like `on_tick`, in order, for each skipped tick: for a node that must
+                process every sample although it answers only the newest.
             clock: Wall clock [ns].
         """
         self._node, self._listener, self._observe = node, listener, observe
@@ -225,10 +206,10 @@ class TickInputs:
         self._answer = node.guarded("ticks", self._answer_waiting)
         self._senders = SenderCheck()
         self._matcher = StampMatcher(topics)
-        self._newest: int | None = None  # trigger [ns], and one ahead of it that is not confirmed
+        self._newest: int | None = None  # trigger [ns], and an unconfirmed one ahead of it
         self._ahead: int | None = None
         self._step = 0  # between the last two triggers [ns]
-        self._waiting: dict[int, tuple[Any, ...]] = {}  # complete, until all that is here is read
+        self._waiting: dict[int, tuple[Any, ...]] = {}  # complete, until all messages are read
         self._previous: int | None = None  # newest tick that was answered [ns]
         self._skipped = 0
         self._alone_since: tuple[int, int] | None = None  # wall clock and stamp [ns]
@@ -254,14 +235,14 @@ class TickInputs:
             self._node.diagnostics.judge("senders", contested, two_senders(self._trigger))
         if contested or self._is_unconfirmed(stamp):
             return
-        if stamp == self._matcher.last:  # answered, but the answer has not arrived
-            if not self._waiting:  # else a newer answer is about to be given
+        if stamp == self._matcher.last:  # already answered; the answer may be lost
+            if not self._waiting:  # else a newer answer follows
                 self._listener.on_repeat()
         elif not self._match(self._trigger, stamp, value) and self._matcher.missing(stamp):
             self._note_alone(stamp, value)
 
     def _is_unconfirmed(self, stamp: int) -> bool:
-        """Return whether a trigger [ns] is far ahead and confirms none that was so before."""
+        """Return whether a trigger [ns] is far ahead without confirming an earlier one."""
         newest, ahead = self._newest, self._ahead
         passed = 0 if newest is None else stamp - newest
         if passed > max(_SHORTEST_LEAP, 2 * self._step) and (ahead is None or stamp < ahead):
@@ -271,7 +252,7 @@ class TickInputs:
         return False
 
     def _match(self, topic: str, stamp: int, value: Any) -> bool:
-        """Add a value to its tick [ns]; return whether that made it complete."""
+        """Add a value to its tick [ns]; return whether the tick is now complete."""
         last = self._matcher.last
         values = self._matcher.put(topic, stamp, value)
         if values is None:
@@ -290,7 +271,7 @@ class TickInputs:
         return True
 
     def _after_reading(self) -> None:
-        """Answer when all that has arrived is read; immediately where that is not known."""
+        """Answer when all waiting messages are read; immediately with executors of rclpy."""
         wait = getattr(self._node.executor, "after_reading", None)
         if wait is None:
             self._answer()
@@ -298,7 +279,7 @@ class TickInputs:
             wait(self._answer)
 
     def _note_alone(self, stamp: int, value: Any) -> None:
-        """Pass on a trigger alone where the others have been missing for the time-out."""
+        """Pass on a trigger alone if the other inputs have been missing for the timeout."""
         if not self._reason:
             now = self._clock()
             if self._alone_since is None or stamp < self._alone_since[1]:
@@ -306,7 +287,7 @@ class TickInputs:
             since, first = self._alone_since
             if min(now - since, stamp - first) < self._timeout:
                 return
-            oldest = next(iter(self._matcher.pending))  # of the newest, nothing is here yet
+            oldest = next(iter(self._matcher.pending))  # the newest has no inputs yet
             missing = ", ".join(self._matcher.missing(oldest))
             self._reason = f"no {missing}; holding the hand until all inputs are back"
             self._node.diagnostics.fault("inputs", self._reason)
@@ -314,7 +295,7 @@ class TickInputs:
         self._listener.on_blind_tick(stamp, value, self._reason)
 
     def _answer_waiting(self) -> None:
-        """Answer what has arrived, without the ticks that a slow node skips."""
+        """Answer the complete ticks, except those that a slow node skips."""
         waiting, self._waiting = self._waiting, {}
         answered = set(waiting if len(waiting) < 2 else chosen(list(waiting), self._previous))
         self._previous = max(answered, default=self._previous)

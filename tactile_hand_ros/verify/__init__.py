@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Whether a run is what it claims to be: recompute it."""
+"""Verification of a run by recomputation."""

@@ -1,11 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Recomputation: the recorded sensor topics once more through the controllers, in-process.
+"""Recomputation: feed the recorded sensor topics to the controllers again, in-process.
 
-Every number must come out as it was recorded, to the bit. With another law the difference shows
-what that law would have answered at the same ticks; its answers do not move the hand.
+Every number must match the recording bit for bit. With another law, the differences show how that
+law would have answered the same ticks; its answers do not move the hand.
 
-Desired poses, grasp forces, live parameters and service calls are applied at the ticks at which the
-nodes published that they took effect.
+Desired poses, grasp forces, live parameters and service calls are applied at their recorded ticks.
 """
 
 from __future__ import annotations
@@ -50,9 +49,9 @@ COMPARED = (
     ("auxiliary_pose, orientation", "auxiliary_quaternion", "1"),
     ("joint_command", "command", "N m"),
 )
-"""What is compared: topic, array of the record, unit."""
+"""Compared quantities: topic, array of the record, unit."""
 
-COLUMNS = ("topic", "ticks", "identical", "first that differs", "largest difference")
+COLUMNS = ("topic", "ticks", "identical", "first difference", "largest difference")
 
 
 @dataclass(frozen=True)
@@ -63,9 +62,9 @@ class Comparison:
         topic: Its relative name.
         unit: Unit of the difference.
         compared: Number of ticks with a recorded message.
-        identical: Number of those that are equal to the bit.
-        first: Stamp of the first tick that differs in ns, None if there is none.
-        largest: Largest difference; NaN where only one of both has an answer.
+        identical: Number of those that match bit for bit.
+        first: First tick that differs [ns], None if there is none.
+        largest: Largest difference; NaN where only one of the two has an answer.
     """
 
     topic: str
@@ -91,11 +90,11 @@ class Comparison:
 
 @dataclass(frozen=True)
 class Recomputation:
-    """What came out.
+    """The result of a recomputation.
 
     Attributes:
-        record: The run as recomputed; what controllers do not answer is as recorded.
-        comparisons: Topic by topic.
+        record: The recomputed run; arrays that controllers do not compute are as recorded.
+        comparisons: One comparison per topic.
     """
 
     record: Record
@@ -103,27 +102,27 @@ class Recomputation:
 
     @property
     def same(self) -> bool:
-        """Whether everything is identical."""
+        """Whether all topics are identical."""
         return all(comparison.same for comparison in self.comparisons)
 
 
 def recompute(run: Run, law: str = "") -> Recomputation:
-    """Feed the sensor topics of a run through the controllers.
+    """Recompute the controllers' answers from the sensor topics of a run.
 
     Args:
         run: The run; its scenario must be known.
-        law: Another law than the recorded one, or that one again if it is the user's own: a
-            recording imports no code.
+        law: Law to use instead of the recorded one. A user's own law must be given even if it is
+            the recorded one, because a recording imports no code.
 
     Raises:
-        BagError: If the scenario is not known.
+        BagError: If the scenario is unknown.
         TactileHandError: If the law cannot be used.
     """
     if run.scenario is None:
-        reason = run.scenario_problem or "the bag does not hold it"
+        reason = run.scenario_problem or "the bag does not contain it"
         raise BagError(
-            f"The configuration of {run.bag} is needed but not known ({reason}); record with "
-            "`scenario`, or put scenario.yaml next to the bag."
+            f"The configuration of {run.bag} is unknown ({reason}); record with `scenario`, or put "
+            "scenario.yaml next to the bag."
         )
     scenario = run.scenario.changed({"law": law} if law else {})
     record = ShadowLoop(read_inputs(run, scenario, of_scenario=OF_LAW if law else ())).run()
@@ -159,9 +158,6 @@ class ShadowLoop(Chain):
 
     def __init__(self, inputs: Inputs) -> None:
         """Build the controllers.
-
-        Args:
-            inputs: Their configurations, inputs and commands.
 
         Raises:
             TactileHandError: If the hand cannot be built.
@@ -207,7 +203,7 @@ class ShadowLoop(Chain):
         return self._out
 
     def pass_back(self) -> None:
-        """Do nothing: the recorded rejections count."""
+        """Do nothing; the recorded rejections are applied instead."""
 
     def _answer(self, row: int, contacts: Contacts) -> None:
         r, out, regulator = self._inputs.record, self._out, self.regulator
@@ -238,7 +234,7 @@ class ShadowLoop(Chain):
         self._out.command[row] = held.torque
 
     def _change(self, node: str, stamp: int) -> None:
-        """Apply what changed a node up to a tick [ns]."""
+        """Apply the changes of a node up to a tick [ns]."""
         waiting = self._waiting[node]
         while waiting and waiting[0].stamp <= stamp:
             _apply(waiting.popleft(), node, self._blocks[node])
@@ -263,15 +259,15 @@ def _apply(change: Change, node: str, block: Any) -> None:
     elif value:
         block.grasp()
     else:
-        with contextlib.suppress(GraspError):  # a shadow controller need not have had a grasp
+        with contextlib.suppress(GraspError):  # another law may not have had a grasp
             block.release()
 
 
 class _AtItsTicks:
-    """A block that answers only the ticks that its node has answered.
+    """A block that answers only the ticks that its node answered.
 
-    The node of the regulator measures also the ticks that it is too slow to answer, from its first
-    answer on; the others skip them.
+    The regulator, from its first answer on, also processes ticks that it is too slow to answer. The
+    other nodes skip them.
     """
 
     def __init__(self, block: Any, ticks: set[int], nothing: Any) -> None:
@@ -282,7 +278,7 @@ class _AtItsTicks:
         return getattr(self._block, name)
 
     def step(self, stamp: int, *inputs: Any) -> Any:
-        """Return the block's answer, nothing at a tick that the node has not answered."""
+        """Return the block's answer, or the placeholder at a tick that the node did not answer."""
         is_answered = stamp in self._ticks
         self._measures |= is_answered and isinstance(self._block, SlipRegulator)
         answer = self._block.step(stamp, *inputs) if is_answered or self._measures else None

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The inputs of the controllers of a recorded run, tick by tick, and what changed them."""
+"""Inputs and changes of the controllers of a recorded run, tick by tick."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _FIELDS = (
     *("", "bool_value", "integer_value", "double_value", "string_value", "byte_array_value"),
     *("bool_array_value", "integer_array_value", "double_array_value", "string_array_value"),
 )
-"""Of rcl_interfaces/ParameterValue, in the order of rcl_interfaces/ParameterType."""
+"""Fields of rcl_interfaces/ParameterValue in the order of rcl_interfaces/ParameterType."""
 
 CONTROLLERS = (names.REGULATOR, names.OPTIMIZER, names.CONTROLLER)
 PARAMETERS = "parameters"
@@ -36,12 +36,12 @@ OF_LAW = ("law.name", "law.folder")
 
 
 class Change(NamedTuple):
-    """Something that changed a controller of a recorded run.
+    """A change of a controller in a recorded run.
 
     Attributes:
-        stamp: The first tick whose answer it could change, ns.
+        stamp: The first tick whose answer it could change [ns].
         name: `PARAMETERS`, the topic of a command, or the service or latched topic of a request.
-        value: The configuration, a `Target`, a grasp force in N, or the request's true or false.
+        value: The configuration, a `Target`, a grasp force [N], or the value of the request.
     """
 
     stamp: int
@@ -51,15 +51,15 @@ class Change(NamedTuple):
 
 @dataclass(frozen=True)
 class Inputs:
-    """The sensor topics of a run, and everything that users changed.
+    """The sensor topics of a run, and all changes by users.
 
     Attributes:
-        record: All arrays, NaN where there is no message.
-        contacts: Contacts of each tick, None where no message has come.
-        measured: Ticks with a force of every finger, shape (n,).
+        record: All arrays, NaN without a message.
+        contacts: Contacts of each tick, None without a message.
+        measured: Ticks with a force from every finger, shape (n,).
         changes: Changes of each controller by node, in the order of their ticks; the first is the
-            configuration that is in force from the start.
-        may_skip: Whether a node may have skipped ticks, as in real time when it falls behind.
+            initial configuration.
+        may_skip: Whether a node may have skipped ticks, as it does in real time if it lags.
     """
 
     record: Record
@@ -69,11 +69,7 @@ class Inputs:
     may_skip: bool = False
 
     def answered(self, answers: Array) -> Flags:
-        """Return which ticks a node has not skipped, shape (n,).
-
-        Args:
-            answers: Its answer at each tick, NaN where there is none, shape (n, ...).
-        """
+        """Return which ticks a node did not skip, shape (n,), from its answers, shape (n, ...)."""
         given: Flags = np.asarray(np.isfinite(answers.reshape(len(answers), -1)).any(axis=1))
         return given if self.may_skip else np.ones(len(given), dtype=np.bool_)
 
@@ -83,12 +79,12 @@ def read_inputs(run: Run, scenario: Scenario, of_scenario: Collection[str] = ())
 
     Args:
         run: The run.
-        scenario: Its scenario, for controllers of which the bag does not hold the configuration.
-        of_scenario: Parameters that are those of the scenario in any case.
+        scenario: Its scenario, for controllers without a recorded configuration.
+        of_scenario: Parameters always taken from the scenario.
 
     Raises:
         BagError: If the bag cannot be read.
-        ConfigurationError: If a recorded configuration is not valid.
+        ConfigurationError: If a recorded configuration is invalid.
     """
     record = run.record
     series = run.series[run.topics.full(names.CONTACTS)]
@@ -123,7 +119,7 @@ def _forces(run: Run) -> list[Change]:
 
 
 def _numbers(run: Run, topic: str, name: str, count: int) -> tuple[list[int], Array]:
-    """Return ticks [ns] and numbers of the messages of a topic."""
+    """Return the ticks [ns] and numbers of a topic's messages."""
     series = run.series[run.topics.full(topic)]
     return series.stamps.tolist(), series.rows(name, count)
 
@@ -131,20 +127,20 @@ def _numbers(run: Run, topic: str, name: str, count: int) -> tuple[list[int], Ar
 def _configurations(
     run: Run, node: str, config: Config, of_scenario: Collection[str]
 ) -> list[Change]:
-    """Return the configurations of a node, or the given one where the bag has none."""
+    """Return the recorded configurations of a node, or the given one if there are none."""
     topic = run.topics.full(names.accepted_parameters(node))
     changes = []
     for event in (each.message for each in read_messages(run.bag, [topic])):
         recorded = {k: v for k, v in _values(event).items() if k not in of_scenario}
         changes.append(Change(nanoseconds(event.stamp), PARAMETERS, config.changed(recorded)))
-    # A late subscriber gets the last ones of earlier runs too, so log times do not separate them.
+    # A late subscriber also gets those of earlier runs, so log times do not separate the runs.
     stamps = [change.stamp for change in changes]
     resets = [i for i in range(1, len(stamps)) if stamps[i] < stamps[i - 1]]
     return changes[resets[-1] if resets else 0 :] or [Change(0, PARAMETERS, config)]
 
 
 def _values(event: Any) -> dict[str, Any]:
-    """Return the values in a ParameterEvent by name; the type says which field counts."""
+    """Return the values of a ParameterEvent by name; the type selects the field."""
     found = {p.name: getattr(p.value, _FIELDS[p.value.type]) for p in event.changed_parameters}
     return {k: v.tolist() if isinstance(v, np.ndarray) else v for k, v in found.items()}
 

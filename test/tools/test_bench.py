@@ -31,7 +31,7 @@ def test_the_table_is_printed_and_saved(tmp_path: Path, capsys: pytest.CaptureFi
     [
         (["--rate", "500", "--rate", "0"], "Invalid value for '--rate'"),
         (["--only", "speed"], "Invalid value for '--only'"),
-        (["--out", "."], "is a folder, expected the name of a file"),
+        (["--out", "."], "is a folder, expected a file name"),
         (["--seconds", "0"], "--seconds"),
     ],
 )

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""When the plant takes its next tick: in lockstep with commands, or by the wall clock."""
+"""Timing of the plant's ticks: in lockstep with commands, or by the wall clock."""
 
 from __future__ import annotations
 
@@ -36,34 +36,34 @@ Array = NDArray[np.float64]
 
 
 class InProcessHand(Protocol):
-    """The blocks that answer the plant's ticks where they run in its process."""
+    """The blocks that answer the plant's ticks in its process."""
 
     def answer(
         self, stamp: int, state: PlantState, true: TactileReading, sliding: Array
     ) -> Array | None:
-        """Return the torque for a tick, shape (m,), N m; None where there is none to be used."""
+        """Return the torque for a tick, shape (m,), N m, or None if there is none."""
 
     def hold(self, held: bool) -> None:
-        """Note whether the guard holds the joints."""
+        """Set whether the guard holds the joints."""
 
     def restart(self) -> None:
-        """Start over: time has been set back."""
+        """Start over after time was set back."""
 
 
 CONFLICT = two_senders(names.JOINT_COMMAND)
-_LEFT = f"no {names.JOINT_COMMAND} since two senders of it were there"
+_LEFT = f"no {names.JOINT_COMMAND} since there were two senders of it"
 
 NO_INFO: Mapping[str, Any] = MappingProxyType({})
 
 _TURN = 0.005
-"""Time for which ticks follow each other before messages and services get their turn [s]."""
+"""Time to run ticks before messages and services are served [s]."""
 
 
 class PlantTopics:
-    """Publishes the state of a plant, and once and for all the URDF of its hand."""
+    """Publishes the state of a plant, and once the URDF of its hand."""
 
     def __init__(self, node: TactileNode[Any], hand: Hand, *, turns: bool) -> None:
-        """Create the publishers, with an IMU where the palm turns, and describe the hand."""
+        """Create the publishers, with an IMU if the palm turns, and publish the URDF."""
         self._truth = ReadingPublisher(
             node, hand.finger_names, names.TRUE_CONTACTS, names.true_wrench
         )
@@ -88,14 +88,7 @@ class PlantTopics:
     def publish(
         self, stamp_ns: int, state: PlantState, true: TactileReading, sliding: Array
     ) -> None:
-        """Publish a tick, first what others wait for.
-
-        Args:
-            stamp_ns: The tick [ns].
-            state: Hand and object.
-            true: Their contacts.
-            sliding: The sliding speeds of these, shape (k,), m/s.
-        """
+        """Publish a tick, with sliding speeds in m/s; start with the topics that nodes wait for."""
         self._slip_publisher.publish(stamp_ns, state.slid, sliding)
         self._truth.publish(stamp_ns, true.positions, true.quaternions, true.forces)
         if self._imu_publisher is not None:
@@ -108,13 +101,13 @@ class PlantTopics:
         return self._encode_pose(position, quaternion_from_rotation(rotation), stamp_ns)
 
     def publish_hold(self, is_held: bool) -> None:
-        """Publish whether the joints are held, where that has changed."""
+        """Publish whether the joints are held, if that has changed."""
         if is_held != self._is_held:
             self._is_held = is_held
             self._hold.publish(Bool(data=is_held))
 
     def repeat(self) -> None:
-        """Publish what others wait for once more."""
+        """Publish again the topics that nodes wait for."""
         for publisher in self._awaited:
             publisher.repeat()
 
@@ -122,25 +115,20 @@ class PlantTopics:
 class PlantDriver:
     """Drives a run of the plant.
 
-    The first tick waits for its command: without one the hand would open and the object fall. It is
-    sent again after each short silence. In lockstep every tick waits so, and after a long silence
-    the joints are held and time follows the wall clock until a command comes. In real time the last
-    command acts until a newer one comes, or until the guard finds it too old. While there are
-    two senders the joints are held, whatever they send.
+    The first tick waits for its command, because without one the hand would open and drop the
+    object. The tick is sent again after each short silence. In lockstep every tick waits like this.
+    After a long silence the joints are held and time follows the wall clock until a command comes.
+    In real time the last command acts until a newer one comes, or until the guard finds it too old.
+    While there are two senders, the joints are held.
 
-    With a hand in the same process its answer is the command of the tick. A tick without one is as
-    if the controller were silent.
+    With a hand in the same process, its answer is the command of the tick. A missing answer counts
+    as silence of the controller.
     """
 
     def __init__(self, node: TactileNode[PlantConfig], run: PlantRun) -> None:
-        """Create publishers and timers; `begin` starts the run.
-
-        Args:
-            node: The node to publish and report with.
-            run: The run to drive.
-        """
+        """Create publishers and timers; `begin` starts the run."""
         self._hand: InProcessHand | None = None
-        self._torque: Array | None = None  # of the hand, for the present tick
+        self._torque: Array | None = None  # the hand's answer to the current tick
         self._node = node
         self._diagnostics = node.diagnostics
         self._run = run
@@ -159,12 +147,12 @@ class PlantDriver:
         self._watcher = node.create_timer(watch, self._on_watch)
 
     def connect(self, hand: InProcessHand) -> None:
-        """Let a hand in this process answer the ticks."""
+        """Connect a hand in this process that answers the ticks."""
         self._hand = hand
 
     @property
     def mode(self) -> str:
-        """What the plant is doing: paused, running, holding or finished."""
+        """State of the plant: paused, running, holding or finished."""
         if self._is_finished:
             return "finished"
         if not self._is_on:
@@ -173,13 +161,13 @@ class PlantDriver:
 
     @property
     def _waits(self) -> bool:
-        """Whether the present tick waits for its command."""
+        """Whether the current tick waits for its command."""
         return self._is_lockstep or not self._run.commanded
 
     def begin(self) -> None:
-        """Publish the present tick and wait for its command; in real time, continue after one.
+        """Publish the current tick and wait for its command; in real time, wait only for the first.
 
-        A change of mode is reported immediately, not when the next diagnostics are due.
+        Publish the diagnostics immediately, because the mode may have changed.
         """
         self._run.release()
         self._publish_hold()
@@ -210,13 +198,7 @@ class PlantDriver:
         self.begin()
 
     def command(self, stamp: int, torque: Array, info: Mapping[str, Any] = NO_INFO) -> None:
-        """Take the torque that answers a tick; what comes too late or unasked changes nothing.
-
-        Args:
-            stamp: The tick [ns].
-            torque: Torques of the joints, shape (m,), N m.
-            info: What the middleware reports about the message, if there was one.
-        """
+        """Apply the torque, shape (m,), N m, that answers a tick [ns]; ignore late commands."""
         run = self._run
         self._note_answer(stamp)
         contested = self._senders.note(info)
@@ -236,23 +218,23 @@ class PlantDriver:
             self._resume()
         self._diagnostics.clear("state")
         if self._is_lockstep and stamp < run.stamp:
-            return  # the controller is back; its answer to the present tick is on its way
+            return  # the controller is back; its answer to the current tick follows
         waited = self._waits
         run.command(stamp, torque)
         if waited and not self._waits:
             self._let_time_pass(True)
         if stamp == run.stamp:
             self._pace.answered()
-        # A tick that others have followed is older than the newest by their number.
+        # Add the simulated time since the answered tick to the time since the newest was sent.
         age = self._answered_at - self._sent_at + 1e-9 * (run.stamp - stamp)
         self._diagnostics.latency(age)
         if self._is_lockstep:
             self._advance(1)
 
     def _note_answer(self, stamp: int) -> None:
-        """Report immediately that the first tick is answered, or the last before time stopped.
+        """Report immediately that the first tick, or the last before a stop, is answered.
 
-        The orchestrator waits for both. Commands themselves would cost it a packet a tick.
+        The orchestrator waits for both. Subscribing to commands would cost it a packet per tick.
         """
         before, now = self._newest_answer, self._run.stamp
         if before < stamp <= now:
@@ -262,19 +244,19 @@ class PlantDriver:
                 self._node.publish_diagnostics()
 
     def _is_too_old(self, stamp: int) -> bool:
-        """Return whether the guard would reject a command by its age; in lockstep time waits."""
+        """Return whether the guard would reject a command by its age; never in lockstep."""
         c = self._config
         return not self._is_lockstep and self._run.stamp - stamp > c.guard.age_limit * c.tick
 
     def _hold(self, reason: str) -> None:
-        """Hold the joints whatever is commanded, while time follows the wall clock."""
+        """Hold the joints regardless of commands, while time follows the wall clock."""
         if not self._run.refusing:
             self._run.hold(reason)
             if self._is_lockstep:
                 self._let_time_pass(True)
 
     def _resume(self) -> None:
-        """Let commands act again."""
+        """Accept commands again."""
         self._run.release()
         if self._is_lockstep:
             self._let_time_pass(False)
@@ -287,7 +269,7 @@ class PlantDriver:
             self._pace.stop()
 
     def _advance(self, ticks: int) -> None:
-        """Move ahead and publish the newest tick."""
+        """Advance and publish the newest tick."""
         for done in range(ticks):
             if self._run.is_last:
                 if done:
@@ -310,7 +292,7 @@ class PlantDriver:
             self._hand.hold(held)
 
     def _publish(self) -> None:
-        """Publish the present tick, and let a hand in this process answer it."""
+        """Publish the current tick, and compute the answer of a hand in this process."""
         state, stamp = self._run.state, self._run.stamp
         true, sliding = true_reading(state), sliding_speeds(state)
         self._topics.publish(stamp, state, true, sliding)
@@ -328,14 +310,14 @@ class PlantDriver:
             self.command(self._run.stamp, torque)
 
     def work(self) -> bool:
-        """Take the ticks of a hand in this process for a moment; return whether there are more."""
+        """Run ticks of a hand in this process for a moment; return whether more are ready."""
         end = time.monotonic() + _TURN
         while self._torque is not None and time.monotonic() < end:
             self._take_answer()
         return self._torque is not None
 
     def _stop(self, reason: str) -> None:
-        """Stop time: there is no state to continue from, or to publish."""
+        """Stop time, because there is no valid state to continue from or to publish."""
         self._is_on = False
         self._let_time_pass(False)
         self._announce(f"{reason} (~/reset, then ~/run)", ERROR)
@@ -347,7 +329,7 @@ class PlantDriver:
         self._announce(f"finished at {1e-9 * self._run.stamp:g} s", OK)
 
     def _announce(self, text: str, level: bytes) -> None:
-        """Publish immediately."""
+        """Publish a state immediately."""
         self._diagnostics.fault("state", text, level)
         self._node.publish_diagnostics()
 
@@ -360,7 +342,7 @@ class PlantDriver:
         """Send a tick again after a short silence, hold the joints after a long one."""
         run, c = self._run, self._config
         if not self._is_on or self._is_finished:
-            self._watcher.cancel()  # until it starts again
+            self._watcher.cancel()  # until the next start
             return
         now = time.monotonic()
         if run.reason == CONFLICT and not self._senders.in_conflict:
@@ -382,7 +364,7 @@ class PlantDriver:
             self._diagnostics.fault("state", f"{text}, waiting at the first tick", WARN)
 
     def to_safe_state(self, reason: str) -> None:
-        """Hold the joints after an error that was not foreseen, until the next good command."""
+        """Hold the joints after an unexpected error, until the next valid command."""
         is_idle = not self._is_on or self._is_finished or self._run.refusing
         if is_idle or not self._run.commanded:
             return
@@ -390,7 +372,7 @@ class PlantDriver:
         self._announce(f"{reason}; the joints are held", ERROR)
 
     def report(self, put: Callable[[str, object], None]) -> None:
-        """Report mode, time and silence under the keys of diagnostics."""
+        """Report mode, time and silence as diagnostics values."""
         put("mode", self.mode)
         put("finished", self._is_finished)
         put("time_s", 1e-9 * self._run.stamp)

@@ -1,15 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """The plant: the simulated hand and object.
 
-Safe state: a `CommandGuard` stands in front of the joints, as in the driver of a real hand. In real
-time it holds them when the newest command is more than `guard.age_limit` ticks old, and in
-lockstep, where time waits for the command, after `command_timeout` of silence; time then follows
-the wall clock. It also holds them while there are two senders of `joint_command` and when a joint
-is faster than its limit. Commands with unknown joints, missing joints or NaN count as silence. The
-grasp force is kept and raised with the load, the joints come to rest, and the level in
-`/diagnostics` is ERROR. Time stands still at the first tick until the first command.
-Where the simulation diverges, time stands still too, with an ERROR, until `~/reset` and `~/run`.
-Without a plant there are no ticks, and no node answers.
+Safe state: a `CommandGuard` protects the joints, as in the driver of a real hand. In real time it
+holds them when the newest command is more than `guard.age_limit` ticks old. In lockstep, where time
+waits for the command, it holds them after `command_timeout` of silence, and time then follows the
+wall clock. It also holds them while there are two senders of `joint_command` and when a joint
+exceeds its speed limit. Commands with unknown joints, missing joints or NaN count as silence. A
+hold keeps the grasp force and raises it with the load, brings the joints to rest, and sets the
+level in `/diagnostics` to ERROR. Before the first command, time stops at the first tick. If the
+simulation diverges, time stops too, with an ERROR, until `~/reset` and `~/run`. Without a plant
+there are no ticks, and no node answers.
 """
 
 from __future__ import annotations
@@ -35,16 +35,16 @@ from tactile_hand_ros.simulation.plant_run import PlantRun
 class PlantNode(TactileNode[PlantConfig]):
     """Simulates hand and object, tick by tick.
 
-    Publications, all with the tick as stamp: `joint_states` (sensor_msgs/JointState, rad, rad/s and
+    Publications, all stamped with the tick: `joint_states` (sensor_msgs/JointState, rad, rad/s and
     the torque that acted, N m), `ground_truth/contacts` (geometry_msgs/PoseArray, palm frame, m),
     `ground_truth/<finger>/wrench` (geometry_msgs/WrenchStamped, contact frame, N),
     `ground_truth/slip` (sensor_msgs/JointState by finger: distance slid, m, and sliding speed,
     m/s), `ground_truth/object_pose` (geometry_msgs/PoseStamped, palm frame, m), `clock`
-    (rosgraph_msgs/Clock; `/clock` outside of namespaces). Once: `robot_description`
+    (rosgraph_msgs/Clock; `/clock` outside namespaces). Once: `robot_description`
     (std_msgs/String, URDF). At each change, latched: `joint_hold` (std_msgs/Bool, whether the
     guard holds the joints or commands are still taking over). Once a second: `/diagnostics`.
 
-    Subscription: `joint_command` (sensor_msgs/JointState, effort by joint name, N m; the stamp is
+    Subscription: `joint_command` (sensor_msgs/JointState, effort by joint name, N m; stamped with
     the tick that it answers).
 
     Services: `~/run` (std_srvs/SetBool) continues and pauses, `~/reset` (std_srvs/Trigger) goes
@@ -56,10 +56,8 @@ class PlantNode(TactileNode[PlantConfig]):
     def __init__(self, *, composed: bool = False, **kwargs: Any) -> None:
         """Build hand and object, and start unless `autostart` is false.
 
-        Args:
-            composed: Whether a hand in this process answers the ticks: it is given to `begin`, and
-                no commands are received.
-            **kwargs: For `rclpy.node.Node`.
+        With `composed`, a hand in this process is passed to `begin` and answers the ticks, and no
+        commands are received.
 
         Raises:
             TactileHandError: If a parameter is rejected or hand or object cannot be built.
@@ -82,7 +80,7 @@ class PlantNode(TactileNode[PlantConfig]):
         self._driver.begin()
 
     def on_config(self, config: PlantConfig) -> None:
-        """Take another friction."""
+        """Apply a changed friction."""
         self._run.configure(config)
 
     def to_safe_state(self, reason: str) -> None:
@@ -98,7 +96,7 @@ class PlantNode(TactileNode[PlantConfig]):
         self._report_contact_laws()
 
     def _report_contact_laws(self) -> None:
-        """Report how well the contact laws hold, and warn of steps in which they do not."""
+        """Report the residuals of the contact laws, and warn of steps that violate them."""
         put, plant = self.diagnostics.value, self._run.plant
         put("contact_residual", plant.contact_residual)
         put("relaxed_steps", plant.relaxed_steps)
@@ -107,7 +105,7 @@ class PlantNode(TactileNode[PlantConfig]):
             "contact laws",
             plant.relaxed_steps + plant.unsolved_steps > 0,
             f"contact laws were relaxed in {plant.relaxed_steps} steps (jammed penetrations were "
-            f"kept) and not met in {plant.unsolved_steps} since the start; lower friction or "
+            f"kept) and violated in {plant.unsolved_steps} since the start; lower friction or "
             "plant.time_step, or start without penetration",
             WARN,
         )

@@ -15,7 +15,7 @@ Compression = Literal["none", "lz4", "zstd"]
 
 
 class RecorderConfig(Config):
-    """What is recorded, where to, and how often it reaches the disk."""
+    """Configuration of the recorder."""
 
     output: str = param(
         ...,
@@ -36,7 +36,7 @@ class RecorderConfig(Config):
     @field_validator("topics", "exclude")
     @classmethod
     def _compile(cls, patterns: list[str]) -> list[str]:
-        """Refuse a pattern that is not a valid regular expression."""
+        """Reject invalid regular expressions."""
         try:
             TopicSelection(patterns)
         except ConfigurationError as error:

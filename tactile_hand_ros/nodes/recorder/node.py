@@ -21,42 +21,41 @@ from tactile_hand_ros.ros.diagnostics import WARN
 from tactile_hand_ros.ros.node import SUBSCRIPTIONS, TactileNode, TickPublisher
 from tactile_hand_ros.ros.runner import run_node
 
-_QUEUE_DEPTH = 5000  # messages that a topic's queue holds between two visits
-_VISIT_PERIOD = 0.01  # s between two visits to the queues of the subscriptions
-_DISCOVERY_PERIOD = 0.05  # s between two looks at the graph for new topics
-_SHARED_PERIOD = 0.2  # the same where a look delays the ticks of a hand in the same process
-_FLUSH_PERIOD = 0.05  # s, longest time a message waits in memory before it is written
-_QUIET = 0.05  # s without a message after which nothing more is on its way
-_LAST_CALL = 0.5  # s, longest wait for that while publishers continue
-_ATTENTION = 0.002  # s between two visits to the queues in that time
+_QUEUE_DEPTH = 5000  # messages that a topic's queue holds between two polls
+_VISIT_PERIOD = 0.01  # s between two polls of the subscriptions
+_DISCOVERY_PERIOD = 0.05  # s between two searches for new topics
+_SHARED_PERIOD = 0.2  # the same if a search delays the ticks of a hand in the same process
+_FLUSH_PERIOD = 0.05  # s, maximum time before a message is written to disk
+_QUIET = 0.05  # s without a message after which all messages have arrived
+_LAST_CALL = 0.5  # s, maximum wait for that if publishers continue
+_ATTENTION = 0.002  # s between two polls during that wait
 
 
 class RecorderNode(TactileNode[RecorderConfig]):
-    """Records the chosen topics as a rosbag2 folder until it is stopped.
+    """Records the selected topics to a rosbag2 folder until it is stopped.
 
-    Subscriptions: every topic that `topics` includes and `exclude` does not, raw, with the
-    quality of service that its publishers offer. Hidden topics are left out. Topics are subscribed
-    as soon as the graph has them, with or without a publisher, so that a publisher that appears
-    later finds the subscription already there.
+    Subscriptions: every topic that matches `topics` and not `exclude`, raw, with the quality of
+    service that its publishers offer. Hidden topics are excluded. Topics are subscribed as soon as
+    they are in the graph, even without a publisher, so that no first message is lost.
 
     Publications: `/diagnostics` (diagnostic_msgs/DiagnosticArray), 1 Hz: messages and bytes
-    recorded, number of topics, messages lost on the way, topics whose type is not installed.
+    recorded, number of topics, lost messages, topics whose type is not installed.
 
     Parameters: the fields of `RecorderConfig`; `output` is required.
     """
 
-    fatal = (BagError,)  # a recorder that cannot write has nothing left to do
+    fatal = (BagError,)  # a recorder that cannot write must stop
 
     def __init__(self, local_publishers: Sequence[TickPublisher] = (), **kwargs: Any) -> None:
         """Create the bag and start.
 
         Args:
-            local_publishers: Publishers of a hand in the same process, whose messages are recorded
-                without a subscription. That hand continues when the bag cannot be written.
+            local_publishers: Publishers of a hand in the same process, recorded without a
+                subscription. That hand continues if the bag cannot be written.
             **kwargs: For `rclpy.node.Node`.
 
         Raises:
-            ConfigurationError: If a parameter is refused.
+            ConfigurationError: If a parameter is rejected.
             BagError: If the bag cannot be created.
         """
         super().__init__("recorder", RecorderConfig, **kwargs)
@@ -77,7 +76,7 @@ class RecorderNode(TactileNode[RecorderConfig]):
         except BagError:
             self.destroy_node()
             raise
-        # In the metadata as rosbag2 knows it, and as a record that any MCAP reader shows.
+        # Both in rosbag2's metadata and as an MCAP record that any reader shows.
         self._writer.add_metadata(RECORD_NAME, origin)
         for publisher in local_publishers:
             if publisher.topic in self._selection:
@@ -85,7 +84,7 @@ class RecorderNode(TactileNode[RecorderConfig]):
         self._visits = self.create_timer(_VISIT_PERIOD, self._on_visit)
 
     def close(self) -> None:
-        """Write what is still on its way, then index and metadata; the context may have ended.
+        """Write the last messages, then index and metadata; the context may already be shut down.
 
         Raises:
             BagError: If the bag is incomplete.
@@ -102,7 +101,7 @@ class RecorderNode(TactileNode[RecorderConfig]):
         writer.close()
 
     def peers(self) -> dict[str, int]:
-        """Return how many matched peers each topic has; a tapped publisher is one."""
+        """Return the number of matched peers per topic; a tapped publisher counts as one."""
         return super().peers() | {f"{SUBSCRIPTIONS} {topic}": 1 for topic in self._tapped}
 
     def on_report(self) -> None:
@@ -122,7 +121,7 @@ class RecorderNode(TactileNode[RecorderConfig]):
             self.diagnostics.fault(key, f"{count} {text}", WARN)
 
     def _lost(self) -> dict[str, int]:
-        """Return the topics that lost messages and how many, on the way here or to the disk."""
+        """Return the number of messages lost in transit or at the disk, by topic, without zeros."""
         refused = self._writer.lost
         counts = {name: refused[channel] for name, channel in self._tapped.items()}
         for topic in self._topics.values():
@@ -143,10 +142,10 @@ class RecorderNode(TactileNode[RecorderConfig]):
             self.publish_diagnostics()
 
     def _visit(self) -> int:
-        """Write what has arrived, look for topics when it is time, and return the messages taken.
+        """Write waiting messages, search for topics if due, and return the number of messages.
 
         Raises:
-            BagError: If the disk refuses the data.
+            BagError: If the disk rejects the data.
         """
         now = time.monotonic()
         if now >= self._next_discovery:
@@ -161,7 +160,7 @@ class RecorderNode(TactileNode[RecorderConfig]):
         return count
 
     def _last_call(self) -> None:
-        """Write until the topics are quiet: what was sent before the end must be in the bag."""
+        """Write until the topics are quiet, so that the bag contains all messages sent so far."""
         pause = threading.Event()
         end = time.monotonic() + _LAST_CALL
         quiet = time.monotonic() + _QUIET
@@ -193,7 +192,7 @@ class RecorderNode(TactileNode[RecorderConfig]):
         publisher.add_tap(note)
 
     def _discover(self) -> None:
-        """Look for topics and publishers that have come or gone."""
+        """Search for new topics and changed publishers."""
         for name, types in self.get_topic_names_and_types():
             topic = self._topics.get(name)
             if topic is None:
@@ -202,7 +201,7 @@ class RecorderNode(TactileNode[RecorderConfig]):
                 self._announce(topic)
 
     def _consider(self, name: str, type_name: str) -> None:
-        """Subscribe to a new topic if it is wanted and its type is known."""
+        """Subscribe to a new topic if it is selected and its type is installed."""
         if name in self._refused or name in self._tapped or name not in self._selection:
             return
         try:

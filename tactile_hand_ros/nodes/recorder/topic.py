@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One subscribed topic: serialized messages taken straight from its queue, and what is missing."""
+"""One subscribed topic: serialized messages taken directly from its queue, and lost messages."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ from tactile_hand_ros.ros.endpoints import message_class, subscribe_directly, ta
 Sink = Callable[["RawTopic", bytes, int, int], None]  # topic, CDR, received ns, sent ns
 
 _DISCOVERY = 2.0
-"""A publisher discovered so soon after subscribing may be older than the subscription [s]."""
+"""Time after subscribing in which a new publisher may be older than the subscription [s]."""
 
 
 def publishers_of(node: Node, topic: str) -> Sequence[TopicEndpointInfo]:
-    """Return the publishers of a topic; none where the context has been shut down."""
+    """Return the publishers of a topic, or an empty list if the context is shut down."""
     try:
         return list(node.get_publishers_info_by_topic(topic))
     except (RuntimeError, InvalidHandle):  # errors of rcl are RuntimeErrors
@@ -55,19 +55,13 @@ class RawTopic:
     Attributes:
         name: Full name of the topic.
         type_name: Full name of its type.
-        publishers: Number of publishers at the last look.
+        publishers: Number of publishers at the last poll.
         received: Number of messages taken.
         channel: Number of the topic's channel in the bag, None until it has one.
     """
 
     def __init__(self, node: Node, name: str, type_name: str, depth: int) -> None:
-        """Subscribe.
-
-        Args:
-            node: Owner of the subscription.
-            name: Full name of the topic.
-            type_name: Full name of its type.
-            depth: Length of its queue.
+        """Subscribe with a queue of length `depth`.
 
         Raises:
             BagError: If the type is not installed.
@@ -86,17 +80,17 @@ class RawTopic:
 
     @property
     def lost(self) -> int:
-        """Number of messages that never came."""
+        """Number of lost messages."""
         return self._losses.count
 
     @property
     def _forgiving_until(self) -> float:
-        """Of a latched topic a late subscription gets the last messages only, by design."""
+        """Infinity for latched topics: late subscribers get only the last messages, by design."""
         is_latched = self._qos.durability == DurabilityPolicy.TRANSIENT_LOCAL
         return math.inf if is_latched else time.monotonic() + _DISCOVERY
 
     def drain(self, sink: Sink) -> int:
-        """Hand all waiting messages to `sink` and return their number."""
+        """Pass all waiting messages to `sink` and return their number."""
         count = 0
         for data, received, sent in self._take():
             sink(self, data, received, sent)
@@ -104,11 +98,11 @@ class RawTopic:
         return count
 
     def adapt(self, sink: Sink) -> bool:
-        """Subscribe again if the publishers changed so that the present subscription misses some.
+        """Subscribe again if the current subscription does not match all publishers.
 
-        As many publishers as before need not be the same: one that was replaced by another of a
-        weaker quality of service does not match. A latched topic is subscribed again only before
-        its first message: later its publishers' histories would arrive a second time.
+        An unchanged number of publishers is not enough: a replacement with a weaker quality of
+        service does not match. A latched topic is subscribed again only before its first message;
+        later, its publishers' histories would arrive twice.
 
         Returns:
             Whether the number of publishers has changed.
@@ -133,7 +127,7 @@ class RawTopic:
         return subscribe_directly(self._node, self._class, self.name, self._qos)
 
     def _take(self) -> Iterator[tuple[bytes, int, int]]:
-        """Yield data, time of reception and time of publication (ns) of the waiting messages."""
+        """Yield data, reception time and publication time [ns] of the waiting messages."""
         for data, info in taken(self._subscription, self._qos.depth):
             self.received += 1
             number = info["publication_sequence_number"]
@@ -144,36 +138,31 @@ class RawTopic:
 
 
 class LossCounter:
-    """Counts the messages of a topic that never came.
+    """Counts the lost messages of a topic.
 
-    The middleware numbers the messages of each publisher 1, 2, 3, ... but a message does not state
-    whose number it carries. Losses are therefore counted while a topic has one publisher, as every
-    topic of a hand has: gaps, and what a publisher that appeared after the subscription had sent
-    before the two matched.
+    The middleware numbers the messages of each publisher 1, 2, 3, ... but a message does not name
+    its publisher. So losses are counted only while a topic has one publisher, as every topic of a
+    hand does: gaps, and the messages that a publisher newer than the subscription sent before the
+    two matched.
 
     Attributes:
-        count: Number of messages that never came.
+        count: Number of lost messages.
         forgiving_until: Until then, a publisher may be older than the subscription [s, monotonic].
     """
 
     def __init__(self, look: Callable[[], set[bytes]], forgiving_until: float) -> None:
-        """Start with a subscription.
-
-        Args:
-            look: Returns the ids of the publishers that there are now.
-            forgiving_until: See above.
-        """
+        """Start with a subscription; `look` returns the ids of the current publishers."""
         self.count, self.forgiving_until = 0, forgiving_until
         self._look, self._older = look, look()
         self._sender, self._next = b"", 1
 
     def note(self, number: int) -> None:
-        """Note the sequence number of a message, from 1."""
+        """Check the sequence number of a message, from 1."""
         expected, self._next = self._next, number + 1
         if number == expected and self._sender:
             return
         present = self._look()
-        if len(present) != 1:  # the number may be that of any of them
+        if len(present) != 1:  # the number may belong to any of them
             self._sender, self._older = b"", self._older | present
             return
         (sender,) = present
@@ -189,7 +178,7 @@ def _ids(publishers: Sequence[TopicEndpointInfo]) -> set[bytes]:
 
 
 def _is_weaker(new: QoSProfile, old: QoSProfile) -> bool:
-    """Return whether a policy must give way so that all publishers match."""
+    """Return whether a policy is weaker, as needed to match all publishers."""
     return bool(
         new.reliability == ReliabilityPolicy.BEST_EFFORT != old.reliability
         or new.durability == DurabilityPolicy.VOLATILE != old.durability

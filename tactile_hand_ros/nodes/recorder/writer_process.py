@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A `BagWriter` in a process of its own, so that compression and disk do not delay a tick.
+"""A `BagWriter` in its own process, so that compression and disk do not delay a tick.
 
-Python runs one thread at a time: a thread that packs messages would hold up the ticks of a hand in
-the same process. The writing process gets its orders, pickled, through a pipe. It ignores signals
-and ends when the pipe does; what is in the pipe is written even if the sender was killed.
+Python runs one thread at a time, so a writer thread would delay the ticks of a hand in the same
+process. The writing process receives pickled orders through a pipe. It ignores signals and exits
+when the pipe closes; it writes the pipe's content even if the sender was killed.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ from typing import Any
 from tactile_hand_ros.bag.metadata import OfferedQos
 from tactile_hand_ros.errors import BagError
 
-# Before anything is imported, take back what the hand's process was given: this one may be late.
-# What lies in the working directory must not be taken for a library.
+# Before any import, drop the real-time priority of the hand's process: writing may be late. Remove
+# the working directory from the path, so that no file there is imported as a library.
 _PROGRAM = f"""
 import os, sys
 try:
@@ -36,9 +36,9 @@ from {__name__} import main
 sys.exit(main())
 """
 _OPEN = b"open\n"
-"""What the process replies when the bag is there; anything else is the text of an error."""
-_PIPE_SIZE = 1 << 20  # bytes, what the kernel gives to any user
-_MAX_WAITING = 64 << 20  # bytes that wait while the pipe is full; what comes then is lost
+"""Reply of the process once the bag is created; any other reply is an error text."""
+_PIPE_SIZE = 1 << 20  # bytes, the kernel's limit for normal users
+_MAX_WAITING = 64 << 20  # bytes queued while the pipe is full; more are lost
 
 Message = tuple[int, bytes, int, int]
 """Channel, CDR, times of reception and publication [ns]."""
@@ -49,25 +49,20 @@ class WriterProcess:
 
     Attributes:
         folder: Folder of the bag.
-        custom_data: Texts for the bag's metadata; may be filled until `close`.
+        custom_data: Texts for the bag's metadata; may be changed until `close`.
         message_count: Number of messages accepted so far.
-        bytes_received: Number of their bytes.
-        lost: Messages that were not accepted, by channel.
+        bytes_received: Their total size in bytes.
+        lost: Number of messages not accepted, by channel.
         is_open: Whether messages are accepted.
     """
 
     def __init__(self, folder: Path, **options: Any) -> None:
-        """Start the process; `check` raises if the bag could not be created.
-
-        Args:
-            folder: Folder to create.
-            **options: For `BagWriter`.
-        """
+        """Start the process, with options for `BagWriter`; `check` raises if it has no bag."""
         self._process = subprocess.Popen(
             [sys.executable, "-c", _PROGRAM],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
-            start_new_session=True,  # a Ctrl-C is not for it
+            start_new_session=True,  # Ctrl-C must not stop it
         )
         assert self._process.stdin is not None and self._process.stdout is not None
         self._replies = self._process.stdout
@@ -87,7 +82,7 @@ class WriterProcess:
 
     @property
     def process_id(self) -> int:
-        """Number of the process."""
+        """The process id."""
         return self._process.pid
 
     def check(self) -> None:
@@ -115,7 +110,7 @@ class WriterProcess:
         self._order("add_metadata", name=name, values=dict(values))
 
     def write(self, channel: int, data: bytes, log_time: int, publish_time: int) -> None:
-        """Append one serialized message, which is on its way after the next `send`; times in ns."""
+        """Queue one serialized message for the next `send`; times in ns."""
         if len(self._waiting) > _MAX_WAITING or not self.is_open:
             self.lost[channel] += 1
             return
@@ -124,11 +119,11 @@ class WriterProcess:
         self.bytes_received += len(data)
 
     def flush(self) -> None:
-        """Let the process finish its chunk, so that the messages survive its death, too."""
+        """Make the process finish its chunk, so that its messages survive a crash of it."""
         self._order("flush")
 
     def send(self) -> None:
-        """Put into the pipe what fits, without waiting.
+        """Write to the pipe without blocking.
 
         Raises:
             BagError: If the process has ended.
@@ -146,7 +141,7 @@ class WriterProcess:
         """Write index and metadata, and wait for them.
 
         Raises:
-            BagError: If the disk refuses the data.
+            BagError: If the disk rejects the data.
         """
         self._order("close", custom_data=self.custom_data)
         self.is_open = False
@@ -168,7 +163,7 @@ class WriterProcess:
             self._messages.clear()
 
     def _error(self, reply: bytes = b"") -> BagError:
-        """Return why the process has ended."""
+        """Return the error with which the process has ended."""
         self.is_open = False
         text = (reply + self._replies.read()).removeprefix(_OPEN).decode()
         return BagError(
@@ -196,7 +191,7 @@ def main() -> int:
 
 
 def _orders() -> Iterator[tuple[str, Any]]:
-    """Yield the orders until the sender has ended."""
+    """Yield orders until the sender closes the pipe."""
     with contextlib.suppress(EOFError, pickle.UnpicklingError):
         while True:
             yield pickle.load(sys.stdin.buffer)

@@ -228,7 +228,7 @@ def test_refusals(tmp_path: Path) -> None:
     write_bag(tmp_path / "run", count=1)
     for bag, out, message in (
         ("nowhere", None, "does not exist"),
-        ("empty", None, "holds no .mcap file.*ros2 bag convert"),
+        ("empty", None, "contains no .mcap file.*ros2 bag convert"),
         ("text.mcap", None, "not an MCAP file"),
         ("run", "empty", "exists already"),
         ("run", "text.mcap/x", "cannot be created"),

@@ -202,7 +202,7 @@ def test_no_k_f_beyond_its_limits_is_published(
     node = here.make(SlipRegulatorNode, maximum=40.0)
     sent = tapped(node)
     monkeypatch.setattr("tactile_hand_ros.control.slip.regulator.SlipRegulator.step", _of(force))
-    with pytest.raises(TickFailedError, match="is not from 0 to 40.0 N"):
+    with pytest.raises(TickFailedError, match="is outside 0 to 40.0 N"):
         tick(node, 0)
     assert not any(sent.values()) and counts(node, "errors") == {"ticks": 1}
 
@@ -454,13 +454,13 @@ def test_services_change_the_controller_and_report_the_result(here: Process) -> 
     assert ask("enable", False) == (True, "damping only")
     assert tick(node, 0).mode.value == "disabled"
     assert ask("enable", True) == (True, "enabled")
-    assert ask("grasp", True) == (True, "the hand is not open, nothing to close")
+    assert ask("grasp", True) == (True, "the hand is not open")
     tick(node, TICK)
     assert ask("grasp", False) == (True, "opening")
     assert tick(node, 2 * TICK).mode.value == "open"
     assert ask("grasp", True) == (True, "closing")
     answer = here.call(Trigger, "manipulation_controller/reset")
-    assert answer.success and "forgotten" in answer.message
+    assert answer.success and "discarded" in answer.message
     tick(node, 3 * TICK)
     found = [(name, value) for name, value, _ in asked(here.messages(topic, 7))]
     assert found[:3] == [("enable", "true"), ("enable", "false"), ("enable", "true")]

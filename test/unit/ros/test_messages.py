@@ -153,7 +153,7 @@ def test_a_quaternion_of_nearly_unit_length_is_a_rotation_and_others_are_refused
     contacts = ContactsCodec(3).encode(positions, turns, 1)
     if not taken:
         for codec, data in ((PoseCodec(), pose), (ContactsCodec(3), contacts)):
-            with pytest.raises(MessageError, match="expected one of length 1"):
+            with pytest.raises(MessageError, match="expected a unit quaternion"):
                 codec.decode(data)
         return
     # It must not stretch the following values.
@@ -180,7 +180,7 @@ def test_joints_of_senders_with_other_orders_are_sorted():
         (JointState(name=["aa"], effort=[1.0]), "joint 'bb' is missing"),
         (
             JointState(name=["aa", "bb", "aa"], effort=[1.0] * 3),
-            "joint 'aa' is there 2 times, expected each of 2 once",
+            "joint 'aa' appears 2 times, expected each of 2 once",
         ),
         (JointState(name=["aa", "bb"], effort=[1.0]), "effort has 1 values, expected 2"),
         (JointState(name=["aa", "bb"], effort=[1.0, math.nan]), "effort of joint 'bb' is nan"),
@@ -223,7 +223,7 @@ def pose_with(change):
         (pose_with(lambda m: setattr(m.pose.position, "x", -BEYOND)), "position is"),
         (pose_with(lambda m: setattr(m.pose.position, "z", np.nan)), "position is"),
         (pose_with(lambda m: setattr(m.header, "frame_id", "")), "frame_id is '', expected 'palm'"),
-        (pose_with(lambda m: setattr(m.pose.orientation, "w", 0.0)), "expected one of length 1"),
+        (pose_with(lambda m: setattr(m.pose.orientation, "w", 0.0)), "expected a unit quaternion"),
     ],
 )
 def test_bad_contacts_and_poses_are_refused(case, words):
@@ -378,7 +378,7 @@ def test_joint_states_of_an_arm_and_a_hand_are_read_by_the_names_of_the_hand():
     with pytest.raises(MessageError, match="unknown joint 'arm_1'"):
         JointCodec(["b", "a"], ("effort",)).decode(serialize_message(message))
     message.name[0] = "a"
-    with pytest.raises(MessageError, match="joint 'a' is there 2 times"):
+    with pytest.raises(MessageError, match="joint 'a' appears 2 times"):
         codec.decode(serialize_message(message))
 
 

@@ -244,7 +244,7 @@ def test_two_senders_are_both_refused_until_half_a_second_is_over(
     rig.says(ERROR, f"{CONFLICT}; the joints are held")
     assert int(facts(rig.node)["conflicting_commands"]) > 0
     rig.held_ticks()
-    left = "no joint_command since two senders of it were there"
+    left = "no joint_command since there were two senders of it"
     rig.says(ERROR, f"{left}; the joints are held")
     rig.returns()
 
