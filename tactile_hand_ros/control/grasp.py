@@ -380,8 +380,7 @@ def best_rotation(before: Array, after: Array) -> Array:
     """
     u, _, vt = np.linalg.svd(after.T @ before)
     product: Array = u @ vt
-    (a, b, c), (d, e, f), (g, h, i) = product
-    if a * (e * i - f * h) + b * (f * g - d * i) + c * (d * h - e * g) < 0.0:
+    if np.linalg.det(product) < 0.0:
         u[:, 2] *= -1.0
         product = u @ vt
     return product

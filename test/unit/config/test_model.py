@@ -94,7 +94,7 @@ def test_values_are_read_into_their_types(tmp_path):
         ("noisy: true\nfingers: 5", "", ["noise is supported for up to 4 fingers"]),
         ("law: [", "line 1", ["not valid YAML"]),
         ("law: {[1, 2]: 3}", "line 1, column 7", ["unhashable key"]),
-        ("law: 2024-13-01", "this file", ["not what it looks like (month must be in 1..12)"]),
+        ("law: 2024-13-01", "this file", ["a value is invalid (month must be in 1..12)"]),
         ("law: !!python/object:os.system ''", "line 1", ["could not determine a constructor"]),
         ("gains: " + 50_000 * "[", "this file", ["nested too deeply"]),
     ],
