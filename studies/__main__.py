@@ -36,6 +36,7 @@ from tactile_hand_ros.sweep.table import Table as RunTable
 from tactile_hand_ros.sweep.table import keep, read_table
 
 OutOption = Annotated[Path, typer.Option(help="Folder of the results.")]
+HandOption = Annotated[Literal["paper", "human"], typer.Option(help="The hand.")]
 Table = tuple[str, Sequence[str], Sequence[Sequence[str]]]
 """Title, columns and rows."""
 
@@ -61,13 +62,14 @@ def slip(
     runs: Annotated[int, typer.Option(help="Number of runs with an event.", min=1)] = 1000,
     jobs: JobsOption = -1,
     seed: SeedOption = 0,
+    hand: HandOption = "paper",
 ) -> None:
     """Measure how fast slip is detected and stopped, and at what grasp force."""
     from studies.slip import study as s
     from tactile_hand_ros.report.style import save
 
     check_writable(out)
-    table = _kept(s.study_of(runs, seed), out, jobs)
+    table = _kept(s.study_of(runs, seed, hand), out, jobs)
     files = save(s.figure(table), out, "study_detection")
     delays = (f"slip, {runs} runs", s.COLUMNS, s.rows(table))
     _finish(out, files, delays, ("how often", s.FRACTION_COLUMNS, s.fraction_rows(table)))
@@ -99,7 +101,7 @@ def loads(
         list[float] | None,
         typer.Option(help="Floor of the reserve; may be repeated. A grid by default.", min=0.0),
     ] = None,
-    hand: Annotated[Literal["paper", "human"], typer.Option(help="Hand to load.")] = "paper",
+    hand: HandOption = "paper",
 ) -> None:
     """Apply random loads to a relaxed grasp: comfort against safety over the reserve.
 

@@ -42,7 +42,6 @@ Event = Literal["friction", "step", "ramp"]
 EVENTS: tuple[Event, ...] = ("friction", "step", "ramp")
 LOADS = {"friction": (1.2, 3.5), "step": (1.5, 8.0), "ramp": (1.5, 8.0)}
 RATES = (250.0, 500.0, 1000.0)
-CENTROID = (0.0, 0.0434, 0.4098)  # of the initial contacts, so that the object stays in place
 EVENT_TIME, DURATION, RAMP = 0.07, 0.19, 0.05  # s
 HELD = {"known": 2.0, "unknown": 12.0}
 """Duration of the runs without an event, with known or unknown friction [s]."""
@@ -50,9 +49,24 @@ HELD = {"known": 2.0, "unknown": 12.0}
 SLIDING = 1e-3  # m/s; slower sliding is creep of sticking contacts
 LOST_SLIDE = 0.02  # m; beyond it, the object counts as lost
 _RISEN = 1.02  # grasp force relative to that before the event that counts as a reaction
-_INERTIA = 0.0113  # m^2, of a uniform cube of this size, per mass
 _NOISES = ((0.0, 0.005), (0.005, 0.012), (0.012, 1.0))  # N
 _LONGEST = 40.0  # ms, range of the figure
+
+
+@dataclass(frozen=True)
+class HandRange:
+    """Objects of a hand: scenario, range of masses [kg], and a pull [N] on a mass [kg]."""
+
+    scenario: str
+    masses: tuple[float, float]
+    pull: float
+    pulled: float
+
+
+HANDS = {
+    "paper": HandRange("gravity", (0.05, 0.5), 10.0, 0.2),
+    "human": HandRange("human_hold", (0.02, 0.2), 2.0, 0.1),
+}
 
 
 @dataclass(frozen=True)
@@ -69,6 +83,7 @@ class SlipCase:
         rate: Samples per second [Hz].
         load: Minimum grasp force after the event relative to that before it.
         pull: Direction of the pull.
+        hand: The hand, of `HANDS`.
         kind: ``event``, ``pull`` for cases with the same pull, or one of `HELD`, without an event.
     """
 
@@ -81,10 +96,11 @@ class SlipCase:
     rate: float
     load: float
     pull: tuple[float, float, float]
+    hand: str = "paper"
     kind: str = "event"
 
 
-def sample_cases(runs: int, seed: int) -> list[SlipCase]:
+def sample_cases(runs: int, seed: int, hand: str = "paper") -> list[SlipCase]:
     """Return cases from Latin-hypercube sampling of the ranges."""
     qmc = optional("scipy.stats.qmc", "The slip study")
     cases = []
@@ -96,12 +112,13 @@ def sample_cases(runs: int, seed: int) -> list[SlipCase]:
                 index=i,
                 event=event,
                 friction=_between(0.2, 1.0, u[1]),
-                mass=_between(0.05, 0.5, u[2]),
+                mass=_between(*HANDS[hand].masses, u[2]),
                 noise=_between(0.002, 0.03, u[3]),
                 latency=round(0.01 * u[4], 4),
                 rate=RATES[int(3 * u[5])],
                 load=_between(*LOADS[event], u[6]),
                 pull=(sideways * math.cos(angle), sideways * math.sin(angle), -math.cos(tilt)),
+                hand=hand,
             )
         )
     return cases
@@ -113,37 +130,37 @@ def _between(low: float, high: float, fraction: float) -> float:
 
 
 def pull_of(case: SlipCase) -> SlipCase:
-    """Return a step of 10 N on 0.2 kg with mu = 0.5, at 1 kHz with a case's noise and latency."""
-    load, down = 1.0 + 10.0 / (9.81 * 0.2), (0.0, 0.0, -1.0)
-    same = replace(case, friction=0.5, mass=0.2, rate=1000.0, load=load, pull=down)
+    """Return the hand's pull with mu = 0.5, at 1 kHz with a case's noise and latency."""
+    of = HANDS[case.hand]
+    load, down = 1.0 + of.pull / (9.81 * of.pulled), (0.0, 0.0, -1.0)
+    same = replace(case, friction=0.5, mass=of.pulled, rate=1000.0, load=load, pull=down)
     return replace(same, kind="pull", event="step")
 
 
 @functools.cache
-def _start() -> tuple[Contacts, Array]:
+def _start(hand: str) -> tuple[Contacts, Array]:
     """Return the initial contacts and center of mass."""
-    plant = Plant(_base().plant)
+    plant = Plant(_base(hand).plant)
     return plant.state.contacts, plant.state.position
 
 
 @functools.cache
-def _base() -> Scenario:
-    return load_scenario("gravity")
+def _base(hand: str) -> Scenario:
+    return load_scenario(HANDS[hand].scenario)
 
 
 def scenario_of(case: SlipCase, changes: Mapping[str, Any] | None = None) -> Scenario:
     """Return the scenario of a case with its event; changes by dotted key take precedence."""
-    base = _base().slip_regulator
-    contacts, position = _start()
+    base = _base(case.hand).slip_regulator
+    contacts, position = _start(case.hand)
     wrench = np.array([0.0, 0.0, -9.81 * case.mass, 0.0, 0.0, 0.0])
     prior = base.friction.prior
     minimum = minimum_against(contacts, position, wrench, min(prior, case.friction))
     values = {
         "duration": DURATION,
         "seed": case.index + 1,
-        "targets": [{"time": 0.0, "position": list(CENTROID)}],
+        "targets": [],
         "plant.object.mass": case.mass,
-        "plant.object.inertia": [_INERTIA * case.mass] * 3,
         "plant.object.friction": case.friction,
         "tactile_sensor.force_noise": case.noise,
         "tactile_sensor.latency": case.latency,
@@ -152,7 +169,7 @@ def scenario_of(case: SlipCase, changes: Mapping[str, Any] | None = None) -> Sce
         **_event(case),
         **(changes or {}),
     }
-    return load_scenario("gravity", values)
+    return load_scenario(HANDS[case.hand].scenario, values)
 
 
 def _event(case: SlipCase) -> dict[str, Any]:
@@ -164,18 +181,18 @@ def _event(case: SlipCase) -> dict[str, Any]:
     return {"plant.disturbances": [push]}
 
 
-def all_cases(runs: int, seed: int) -> list[SlipCase]:
+def all_cases(runs: int, seed: int, hand: str = "paper") -> list[SlipCase]:
     """Return the cases of all runs: a few long holds, some with the same pull, and the events."""
-    cases = sample_cases(runs, seed)
+    cases = sample_cases(runs, seed, hand)
     long, same = (cases[:: min(runs, every)] for every in (200, 40))
     # The longest first, so that no core is idle at the end.
     held = [replace(case, kind=kind) for kind in ("unknown", "known") for case in long]
     return held + [pull_of(case) for case in same] + cases
 
 
-def study_of(runs: int, seed: int) -> Study:
-    """Return the study: a number of runs with an event, and a few long holds."""
-    cases = Choice(tuple(all_cases(runs, seed)))
+def study_of(runs: int, seed: int, hand: str = "paper") -> Study:
+    """Return the study of a hand: a number of runs with an event, and a few long holds."""
+    cases = Choice(tuple(all_cases(runs, seed, hand)))
     return Study({"case": cases}, run_one, runs, seed)
 
 
@@ -266,7 +283,7 @@ def hold_case(case: SlipCase) -> dict[str, float]:
         changes["slip_regulator.friction.prior"] = case.friction
         changes["slip_regulator.friction.explore"] = 0.0
     else:
-        changes["slip_regulator.grasp_force"] = _base().slip_regulator.grasp_force
+        changes["slip_regulator.grasp_force"] = _base(case.hand).slip_regulator.grasp_force
     scenario = scenario_of(case, changes)
     record = ClosedLoop(scenario).run()
     held = float(record.true_forces[-200:, :, 1].sum(axis=1).mean())
@@ -304,7 +321,7 @@ def rows(table: Table) -> list[list[str]]:
         slips = 1e3 * kept["slip"][kept["event"] == event]
         out.append(_row(f"slip distance, {event}", slips, "mm"))
     pulls = 1e3 * table["slip"][table["kind"] == "pull"]
-    out.append(_row("slip distance, 10 N on 0.2 kg, mu 0.5", pulls, "mm", "< 1 mm"))
+    out.append(_row("slip distance, the same pull, mu 0.5", pulls, "mm", "< 1 mm"))
     out.append(_row("largest grasp force / minimum", kept["peak"]))
     for kind in HELD:
         ratios = table["ratio"][table["kind"] == kind]
