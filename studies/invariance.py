@@ -142,7 +142,7 @@ def _changed_hand(
     lengths, given another mass of each link [kg], or another order of fingers.
     """
     hand = load_hand_config(scenario.hand)
-    text = describe(hand.folder / hand.urdf, hand.layout(scenario.layout), hand.any_inertia)
+    text, _ = describe(hand, scenario.layout)
     root = ElementTree.fromstring(text)
     for origin in root.iter("origin"):
         place = scale * np.fromstring(origin.get("xyz", "0 0 0"), sep=" ")

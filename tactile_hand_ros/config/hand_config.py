@@ -17,11 +17,34 @@ _MOST_FINGERS = 32
 
 
 class FingerConfig(Config):
-    """One finger: the link whose origin is the center of its hemispherical tip."""
+    """One finger and its hemispherical tip."""
 
     name: str = param(..., "name of the finger in topics and frames", pattern=_NAME)
-    tip: str = param(..., "link at the center of the fingertip", min_length=1)
+    tip: str = param(..., "link of the fingertip", min_length=1)
     radius: float = param(..., "radius of the fingertip", unit="m", gt=0.0)
+    center: tuple[float, float, float] = param(
+        (0.0, 0.0, 0.0), "center of the hemisphere in the frame of the link", unit="m"
+    )
+    axis: tuple[float, float, float] = param(
+        (1.0, 0.0, 0.0), "direction of the hemisphere's top in the frame of the link"
+    )
+
+
+class LimitConfig(Config):
+    """Limits of a joint; those that are not given are the URDF's."""
+
+    lower: float | None = param(None, "lowest angle or travel", unit="rad or m")
+    upper: float | None = param(None, "highest angle or travel", unit="rad or m")
+    effort: float | None = param(None, "largest torque or force", unit="N m or N", gt=0.0)
+    velocity: float | None = param(None, "largest speed", unit="rad/s or m/s", gt=0.0)
+
+
+class Coupling(Config):
+    """A joint that follows another: q = ratio * q_joint + offset."""
+
+    joint: str = param(..., "joint that it follows", min_length=1)
+    ratio: float = param(1.0, "factor, not 0")
+    offset: float = param(0.0, "offset", unit="rad or m")
 
 
 class MountConfig(Config):
@@ -35,12 +58,20 @@ class HandConfig(Config):
     """A hand: any URDF with at least three fingers."""
 
     urdf: str = param(..., "URDF file, relative to this file", min_length=1)
-    palm: str = param("palm", "link whose frame all positions refer to")
+    palm: str = param(
+        "palm", "link whose frame all positions refer to; what does not hang on it is left out"
+    )
     fingers: list[FingerConfig] = param(
         ..., "fingers in the order of all arrays", min_length=3, max_length=_MOST_FINGERS
     )
     any_inertia: bool = param(
         False, "accept links with an inertia that no body has, as in the paper's Table I"
+    )
+    limits: dict[str, LimitConfig] = Field(
+        default_factory=dict, description="limits that replace those of the URDF, by joint"
+    )
+    couplings: dict[str, Coupling] = Field(
+        default_factory=dict, description="couplings that replace <mimic>, by follower"
     )
     default_layout: str = param("", "layout used when none is asked for")
     layouts: dict[str, dict[str, MountConfig]] = Field(

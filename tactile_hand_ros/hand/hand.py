@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from copy import copy
 from typing import NamedTuple
 
@@ -11,7 +12,12 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from tactile_hand_ros.compiled import compiled
-from tactile_hand_ros.config.hand_config import HandConfig, load_hand_config
+from tactile_hand_ros.config.hand_config import (
+    Coupling,
+    FingerConfig,
+    HandConfig,
+    load_hand_config,
+)
 from tactile_hand_ros.errors import HandModelError
 from tactile_hand_ros.hand.urdf import describe
 
@@ -36,14 +42,16 @@ class Fingertips(NamedTuple):
 
 @compiled
 def tip_jacobians(
-    spatial: Array, support: NDArray[np.bool_], centers: Array
+    spatial: Array, support: NDArray[np.bool_], coupling: Array, centers: Array
 ) -> tuple[Array, Array]:
     """Return the Jacobians J and J_Omega of the fingertips, each of shape (k, 3, m), equation (1).
 
     Args:
-        spatial: Velocities of the bodies at the palm's origin per joint rate, linear above angular,
-            palm axes, shape (6, m).
-        support: Which joints move which tip, shape (k, m).
+        spatial: Velocities of the bodies at the palm's origin per rate of n single joints, linear
+            above angular, palm axes, shape (6, n).
+        support: Which single joints move which tip, shape (k, n).
+        coupling: Rates of the single joints per rate of the m driven ones, shape (n, m); empty
+            where all are driven.
         centers: Fingertip centers, palm frame, shape (k, 3), m.
     """
     k, m = support.shape
@@ -57,7 +65,13 @@ def tip_jacobians(
                 linear[i, 1, j] = spatial[1, j] + c * x - a * z
                 linear[i, 2, j] = spatial[2, j] + a * y - b * x
                 angular[i, 0, j], angular[i, 1, j], angular[i, 2, j] = a, b, c
-    return linear, angular
+    if not coupling.size:
+        return linear, angular
+    shape = (k, 3, coupling.shape[1])
+    driven = np.empty(shape), np.empty(shape)
+    for i in range(k):
+        driven[0][i], driven[1][i] = linear[i] @ coupling, angular[i] @ coupling
+    return driven
 
 
 def mirrored(upper: Array) -> Array:
@@ -74,9 +88,11 @@ class RawDynamics(NamedTuple):
 
     Attributes:
         centers: Fingertip centers, palm frame, shape (k, 3), m.
-        spatial: Velocities of the bodies at the palm's origin per joint rate, linear above angular,
-            palm axes, shape (6, m).
-        support: Which joints move which tip, shape (k, m).
+        spatial: Velocities of the bodies at the palm's origin per rate of n single joints, linear
+            above angular, palm axes, shape (6, n).
+        support: Which single joints move which tip, shape (k, n).
+        coupling: Rates of the single joints per rate of the driven ones, shape (n, m); empty where
+            all are driven.
         inertia: Upper triangle of M_h, shape (m, m).
         bias: C_h theta' + N_h, shape (m,), N m.
     """
@@ -84,16 +100,20 @@ class RawDynamics(NamedTuple):
     centers: Array
     spatial: Array
     support: NDArray[np.bool_]
+    coupling: Array
     inertia: Array
     bias: Array
 
 
 class Hand:
-    """A hand with k fingers and m joints.
+    """A hand with k fingers and m driven joints.
+
+    A joint that follows another one, q_i = ratio q_j + offset, is no joint of its own: all angles
+    are q = S theta + offset, so that J = J_q S and M_h = S^T M_q S.
 
     Attributes:
         fingers: Number of fingers k.
-        joints: Number of joints m.
+        joints: Number of driven joints m.
         finger_names: Names of the k fingers.
         joint_names: Names of the m joints, in the order of every joint array.
         radii: Fingertip radii r, shape (k,), m.
@@ -128,14 +148,15 @@ class Hand:
         Raises:
             HandModelError: If the URDF is missing or broken, or lacks a named link or joint.
         """
-        self.description = describe(
-            config.folder / config.urdf, config.layout(layout), config.any_inertia
-        )
+        self.description, couplings = describe(config, layout)
         self._model = _model(self.description, config)
         if link_lengths != 1.0:
             _stretch(self._model, link_lengths)
+        self._tips = [_tip_frame(self._model, finger) for finger in config.fingers]
         self._data = self._model.createData()
-        self._tips = [_tip_frame(self._model, f.tip, f.name) for f in config.fingers]
+        driven = [name for name in self._model.names[1:] if name not in couplings]
+        self._coupling, self._offsets = _coupling(list(self._model.names[1:]), driven, couplings)
+        _check_inertia(self._model, self._coupling, config.urdf)
         self._support = _support(self._model, self._tips)
         # Views of the arrays that Pinocchio overwrites.
         self._spatial, self._inertia, self._bias = self._data.J, self._data.M, self._data.nle
@@ -143,18 +164,11 @@ class Hand:
         self._turned: pin.Model | None = None  # with a palm that moves
         self.gravity = np.zeros(3) if gravity is None else np.asarray(gravity)
         self.fingers = len(self._tips)
-        self.joints = int(self._model.nv)
+        self.joints = len(driven)
         self.finger_names = config.finger_names
         self.radii = tip_radii * np.array(config.radii)
-        self.joint_names = list(self._model.names[1:])
-        limits = self._model.effortLimit
-        self.effort_limits = np.where(limits > 0.0, limits, np.inf)
-        speeds = self._model.velocityLimit
-        self.velocity_limits = np.where(speeds > 0.0, speeds, np.inf)
-        self.position_limits = (
-            self._model.lowerPositionLimit.copy(),
-            self._model.upperPositionLimit.copy(),
-        )
+        self.joint_names = driven
+        self._set_limits(couplings)
         self.bases, self.spans = _reaches(self._model, self._tips)
         self.finger_mass = sum(body.mass for body in self._model.inertias[1:]) / self.fingers
         self.finger_weight = 9.81 * self.finger_mass
@@ -189,6 +203,36 @@ class Hand:
         part.bases, part.spans = self.bases[chosen], self.spans[chosen]
         return part
 
+    def _set_limits(self, couplings: Mapping[str, Coupling]) -> None:
+        """Take the limits of the model; those of a joint that follows limit the one it follows."""
+        model = self._model
+        index = {name: i for i, name in enumerate(model.names[1:])}
+        own = [index[name] for name in self.joint_names]
+        efforts, speeds = model.effortLimit[own], model.velocityLimit
+        speeds = np.where(speeds > 0.0, speeds, np.inf)
+        lower, upper, fastest = (
+            limit[own] for limit in (model.lowerPositionLimit, model.upperPositionLimit, speeds)
+        )
+        for name, c in couplings.items():
+            i, j = index[name], self.joint_names.index(c.joint)
+            ends = model.lowerPositionLimit[i], model.upperPositionLimit[i]
+            low, high = sorted((end - c.offset) / c.ratio for end in ends)
+            lower[j], upper[j] = max(lower[j], low), min(upper[j], high)
+            fastest[j] = min(fastest[j], speeds[i] / abs(c.ratio))
+        self.effort_limits = np.where(efforts > 0.0, efforts, np.inf)
+        self.velocity_limits, self.position_limits = fastest, (lower, upper)
+
+    def _all(self, theta: Array) -> Array:
+        """Return the angles of all joints, shape (n,), rad, for those of the driven ones."""
+        return self._coupling @ theta + self._offsets if self._coupling.size else theta
+
+    def _all_rates(self, rates: Array) -> Array:
+        return self._coupling @ rates if self._coupling.size else rates
+
+    def _driven(self, torque: Array) -> Array:
+        """Return the torques of the driven joints, shape (m,), N m, for those of all joints."""
+        return self._coupling.T @ torque if self._coupling.size else torque
+
     @property
     def gravity(self) -> Array:
         """Acceleration of gravity in the palm frame, shape (3,), m/s^2."""
@@ -204,7 +248,7 @@ class Hand:
         Args:
             theta: Joint angles, shape (m,), rad.
         """
-        pin.computeJointJacobians(self._model, self._data, theta)
+        pin.computeJointJacobians(self._model, self._data, self._all(theta))
         return self._read_fingertips()
 
     def tip_positions(self, theta: Array) -> Array:
@@ -213,7 +257,7 @@ class Hand:
         Args:
             theta: Joint angles, shape (m,), rad.
         """
-        pin.forwardKinematics(self._model, self._data, theta)
+        pin.forwardKinematics(self._model, self._data, self._all(theta))
         return self._read_centers()
 
     def _read_centers(self) -> Array:
@@ -225,7 +269,8 @@ class Hand:
 
     def _read_fingertips(self) -> Fingertips:
         centers = self._read_centers()
-        return Fingertips(centers, *tip_jacobians(self._spatial, self._support, centers))
+        jacobians = tip_jacobians(self._spatial, self._support, self._coupling, centers)
+        return Fingertips(centers, *jacobians)
 
     def dynamics(self, theta: Array, rates: Array) -> tuple[Fingertips, Array, Array]:
         """Return fingertips, inertia matrix M_h and bias C_h theta' + N_h of equation (3).
@@ -237,9 +282,9 @@ class Hand:
         Returns:
             Fingertips, inertia matrix of shape (m, m) and bias torques of shape (m,), N m.
         """
-        centers, spatial, support, inertia, bias = self.raw_dynamics(theta, rates)
-        tips = Fingertips(centers, *tip_jacobians(spatial, support, centers))
-        return tips, mirrored(inertia), bias.copy()
+        raw = self.raw_dynamics(theta, rates)
+        jacobians = tip_jacobians(raw.spatial, raw.support, raw.coupling, raw.centers)
+        return Fingertips(raw.centers, *jacobians), mirrored(raw.inertia), raw.bias.copy()
 
     def raw_dynamics(self, theta: Array, rates: Array) -> RawDynamics:
         """Return the raw arrays of `dynamics`, which the next call overwrites.
@@ -248,12 +293,15 @@ class Hand:
             theta: Joint angles, shape (m,), rad.
             rates: Joint rates, shape (m,), rad/s.
         """
-        model, data = self._model, self._data
+        model, data, s = self._model, self._data, self._coupling
+        theta, rates = self._all(theta), self._all_rates(rates)
         pin.computeJointJacobians(model, data, theta)
         pin.crba(model, data, theta)
         pin.nonLinearEffects(model, data, theta, rates)
-        centers = self._read_centers()
-        return RawDynamics(centers, self._spatial, self._support, self._inertia, self._bias)
+        centers, inertia, bias = self._read_centers(), self._inertia, self._bias
+        if s.size:
+            inertia, bias = np.asfortranarray(s.T @ mirrored(inertia) @ s), s.T @ bias
+        return RawDynamics(centers, self._spatial, self._support, s, inertia, bias)
 
     def turning_torque(self, theta: Array, rates: Array, spin: Array, acceleration: Array) -> Array:
         """Return the joint torques that balance the turning of the palm, shape (m,), N m.
@@ -268,13 +316,15 @@ class Hand:
             self._turned = pin.buildModelFromXML(self.description, pin.JointModelFreeFlyer())
             self._turned.gravity.linear = np.zeros(3)
             self._turned_data = self._turned.createData()
+        theta, rates = self._all(theta), self._all_rates(rates)
         at = np.concatenate([np.zeros(6), [1.0], theta])
-        still, none = np.concatenate([np.zeros(6), rates]), np.zeros(self.joints)
+        still, none = np.concatenate([np.zeros(6), rates]), np.zeros(len(rates))
         turns = np.concatenate([np.zeros(3), spin, rates])
         accelerations = np.concatenate([np.zeros(3), acceleration, none])
         model, data = self._turned, self._turned_data
         moved = np.array(pin.rnea(model, data, at, turns, accelerations))
-        return np.asarray((moved - pin.rnea(model, data, at, still, np.zeros(len(still))))[6:])
+        more = moved - pin.rnea(model, data, at, still, np.zeros(len(still)))
+        return np.asarray(self._driven(more[6:]))
 
     def gravity_torque(self, theta: Array) -> Array:
         """Return the torques that hold the links against gravity, shape (m,), N m.
@@ -282,7 +332,8 @@ class Hand:
         Args:
             theta: Joint angles, shape (m,), rad.
         """
-        return np.array(pin.computeGeneralizedGravity(self._model, self._data, theta))
+        torque = pin.computeGeneralizedGravity(self._model, self._data, self._all(theta))
+        return np.array(self._driven(torque))
 
     def kinetic_energy(self, theta: Array, rates: Array) -> float:
         """Return the kinetic energy of the links, J.
@@ -291,7 +342,8 @@ class Hand:
             theta: Joint angles, shape (m,), rad.
             rates: Joint rates, shape (m,), rad/s.
         """
-        return float(pin.computeKineticEnergy(self._model, self._data, theta, rates))
+        at = self._all(theta), self._all_rates(rates)
+        return float(pin.computeKineticEnergy(self._model, self._data, *at))
 
     def potential_energy(self, theta: Array) -> float:
         """Return the potential energy of the links, J.
@@ -299,7 +351,7 @@ class Hand:
         Args:
             theta: Joint angles, shape (m,), rad.
         """
-        return float(pin.computePotentialEnergy(self._model, self._data, theta))
+        return float(pin.computePotentialEnergy(self._model, self._data, self._all(theta)))
 
     def tip_rotations(self, theta: Array) -> Array:
         """Return the frames of the tip links, with x along the link, palm frame, shape (k, 3, 3).
@@ -307,7 +359,7 @@ class Hand:
         Args:
             theta: Joint angles, shape (m,), rad.
         """
-        pin.framesForwardKinematics(self._model, self._data, theta)
+        pin.framesForwardKinematics(self._model, self._data, self._all(theta))
         return np.array([self._data.oMf[frame].rotation for frame in self._tips])
 
     def joint_positions(self, theta: Array) -> list[list[Array]]:
@@ -316,7 +368,7 @@ class Hand:
         Args:
             theta: Joint angles, shape (m,), rad.
         """
-        pin.framesForwardKinematics(self._model, self._data, theta)
+        pin.framesForwardKinematics(self._model, self._data, self._all(theta))
         return [self._chain(frame) for frame in self._tips]
 
     def _chain(self, frame: int) -> list[Array]:
@@ -380,16 +432,26 @@ def _model(description: str, config: HandConfig) -> pin.Model:
             f"'{config.urdf}' has joints with more than one degree of freedom or without limits "
             "(continuous); use revolute or prismatic joints"
         )
-    if not model.existFrame(config.palm, pin.BODY) or not _is_root(model, config.palm):
-        raise HandModelError(
-            f"palm link '{config.palm}' is not the root link of '{config.urdf}'; "
-            "name the root link as 'palm' in the hand's YAML"
-        )
-    _check_inertia(model, config.urdf)
     return model
 
 
-def _check_inertia(model: pin.Model, urdf: str) -> None:
+def _coupling(
+    names: list[str], driven: list[str], couplings: Mapping[str, Coupling]
+) -> tuple[Array, Array]:
+    """Return S, shape (n, m), and the offsets, shape (n,), of q = S theta + offset.
+
+    S is empty where all joints are driven.
+    """
+    if not couplings:
+        return np.zeros((0, 0)), np.zeros(0)
+    s, offsets = np.zeros((len(names), len(driven))), np.zeros(len(names))
+    for i, name in enumerate(names):
+        c = couplings.get(name) or Coupling(joint=name)
+        s[i, driven.index(c.joint)], offsets[i] = c.ratio, c.offset
+    return s, offsets
+
+
+def _check_inertia(model: pin.Model, coupling: Array, urdf: str) -> None:
     """Check that M_h of equation (3) has an inverse.
 
     Raises:
@@ -400,6 +462,8 @@ def _check_inertia(model: pin.Model, urdf: str) -> None:
     light = [
         name for name, own in zip(model.names[1:], inertia.diagonal(), strict=True) if not own > 0.0
     ]
+    if coupling.size:
+        light, inertia = [], coupling.T @ inertia @ coupling
     if light:
         raise HandModelError(
             f"joint '{light[0]}' of '{urdf}' moves no mass; give the links behind it an <inertial> "
@@ -413,19 +477,25 @@ def _check_inertia(model: pin.Model, urdf: str) -> None:
         )
 
 
-def _is_root(model: pin.Model, link: str) -> bool:
-    frame = model.frames[model.getFrameId(link, pin.BODY)]
-    return bool(frame.parentJoint == 0 and frame.placement.isIdentity(1e-12))
-
-
-def _tip_frame(model: pin.Model, link: str, finger: str) -> int:
-    if not model.existFrame(link, pin.BODY):
+def _tip_frame(model: pin.Model, finger: FingerConfig) -> int:
+    """Return a frame at the center of a fingertip, with x along its axis."""
+    if not model.existFrame(finger.tip, pin.BODY):
         links = [f.name for f in model.frames if f.type == pin.BODY]
         raise HandModelError(
-            f"finger '{finger}' names tip link '{link}', which the URDF does not have; "
-            f"its links are: {', '.join(links)}"
+            f"finger '{finger.name}' names tip link '{finger.tip}', which the URDF does not have "
+            f"behind the palm; its links are: {', '.join(links)}"
         )
-    frame = int(model.getFrameId(link, pin.BODY))
-    if model.frames[frame].parentJoint == 0:
-        raise HandModelError(f"tip link '{link}' of finger '{finger}' is not moved by any joint")
-    return frame
+    found = int(model.getFrameId(finger.tip, pin.BODY))
+    frame = model.frames[found]
+    if frame.parentJoint == 0:
+        raise HandModelError(
+            f"tip link '{finger.tip}' of finger '{finger.name}' is not moved by any joint"
+        )
+    if finger.center == (0.0, 0.0, 0.0) and finger.axis == (1.0, 0.0, 0.0):
+        return found
+    x = np.array(finger.axis) / np.linalg.norm(finger.axis)
+    turn = pin.Quaternion.FromTwoVectors(np.array([1.0, 0.0, 0.0]), x).matrix()
+    placement = frame.placement * pin.SE3(turn, np.array(finger.center))
+    name = f"{finger.name} fingertip"
+    tip = pin.Frame(name, frame.parentJoint, found, placement, pin.OP_FRAME)
+    return int(model.addFrame(tip, False))

@@ -10,9 +10,10 @@ from xml.etree.ElementTree import Element
 
 import numpy as np
 
-from tactile_hand_ros.config.hand_config import HandConfig, MountConfig
+from tactile_hand_ros.config.hand_config import Coupling, HandConfig, MountConfig
 from tactile_hand_ros.config.plain_yaml import read_text
 from tactile_hand_ros.errors import ConfigurationError, HandModelError
+from tactile_hand_ros.hand.extract import take_hand
 
 _GRAVITY = 9.81  # m/s^2
 _MAX_LINKS = 500
@@ -26,27 +27,43 @@ _OF_JOINTS = {
     "origin": ("xyz", "rpy"),
     "axis": ("xyz",),
     "limit": ("lower", "upper", "effort", "velocity"),
+    "mimic": ("multiplier", "offset"),
 }
 
 
-def describe(path: Path, layout: Mapping[str, MountConfig], any_inertia: bool = False) -> str:
-    """Return the text of a URDF with the fixed joints of a layout moved.
+def describe(config: HandConfig, layout: str = "") -> tuple[str, dict[str, Coupling]]:
+    """Return the URDF of a hand alone, and its couplings by the joint that follows.
+
+    Args:
+        config: The hand.
+        layout: Which fixed joints are moved; empty for the default layout.
+
+    Raises:
+        HandModelError: If the file is not the URDF of a hand, or lacks a link or joint.
+    """
+    path = config.folder / config.urdf
+    root = read_urdf(path, config.any_inertia)
+    couplings = take_hand(root, config, path.name)
+    _move(root, config.layout(layout), path.name)
+    try:
+        return ElementTree.tostring(root, encoding="unicode"), couplings
+    except RecursionError:
+        raise HandModelError(f"'{path}' is nested too deeply; expected a URDF") from None
+
+
+def read_urdf(path: Path, any_inertia: bool = False) -> Element:
+    """Read a URDF and check it.
 
     Args:
         path: The file.
-        layout: Placements of fixed joints.
         any_inertia: Whether to accept links with an inertia that is physically impossible.
 
     Raises:
-        HandModelError: If the file is not the URDF of a hand, or lacks a joint.
+        HandModelError: If the file is not a URDF, or has impossible numbers.
     """
     root = _parsed(path)
     _check(root, path.name, any_inertia)
-    _move(root, layout, path.name)
-    try:
-        return ElementTree.tostring(root, encoding="unicode")
-    except RecursionError:
-        raise HandModelError(f"'{path}' is nested too deeply; expected a URDF") from None
+    return root
 
 
 def finger_weight(config: HandConfig) -> float:
@@ -58,7 +75,7 @@ def finger_weight(config: HandConfig) -> float:
     Raises:
         HandModelError: If the URDF cannot be read.
     """
-    root = ElementTree.fromstring(describe(config.folder / config.urdf, {}, config.any_inertia))
+    root = ElementTree.fromstring(describe(config)[0])
     links = (link for link in root.findall("link") if link.get("name") != config.palm)
     masses = (link.find("inertial/mass") for link in links)
     total = sum(float(mass.get("value", 0.0)) for mass in masses if mass is not None)
@@ -99,15 +116,6 @@ def _check(root: Element, name: str, any_inertia: bool) -> None:
             if joint.get("type") in _LIMITED and attribute == "effort" and value <= 0.0:
                 found, expected = f"{tag} effort is {value:g}", "a torque or force above 0"
                 raise _wrong(joint, name, found, expected)
-        if (mimic := joint.find("mimic")) is not None:
-            found = f"it follows joint '{mimic.get('joint')}' by <mimic>"
-            raise _wrong(
-                joint,
-                name,
-                found,
-                "joints that move on their own",
-                "couplings are not supported: remove <mimic>, or make the joint fixed",
-            )
     for link in links:
         for tag, attribute, value in _numbers(link, _OF_LINKS, name):
             if attribute == "value" and value <= 0.0:
@@ -144,7 +152,7 @@ def _check_tree(root: Element, name: str) -> None:
             raise _wrong(joint, name, found, "limits of a joint that moves")
     if len(links - children) != 1:
         roots = ", ".join(sorted(str(link) for link in links - children)) or "none"
-        raise HandModelError(f"'{name}' has the root links {roots}; expected one, the palm")
+        raise HandModelError(f"'{name}' has the root links {roots}; expected one")
 
 
 def _check_inertia(link: Element, name: str, any_inertia: bool) -> None:

@@ -138,8 +138,9 @@ def velocity_map(hand: RawDynamics, position: Array, points: Array, frames: Arra
 
     Its hand part is -R_C^T J_h and its object part R_C^T G^T with G of (4), equation (6).
     """
-    k, m = hand.support.shape
-    tips = Fingertips(hand.centers, *tip_jacobians(hand.spatial, hand.support, hand.centers))
+    k, m = len(hand.centers), len(hand.bias)
+    jacobians = tip_jacobians(hand.spatial, hand.support, hand.coupling, hand.centers)
+    tips = Fingertips(hand.centers, *jacobians)
     out = np.empty((k, 3, m + 6))
     out[:, :, :m] = -hand_jacobian(tips, points, frames)
     out[:, :, m:] = grasp_map(points - position, frames).T.reshape(k, 3, 6)
@@ -169,7 +170,7 @@ def step(
         torque: tau, shape (m,), N m.
         wrench: External wrench and weight about the object's center of mass, shape (6,), N and N m.
     """
-    k, m = hand.support.shape
+    k, m = len(hand.centers), len(hand.bias)
     v = now.velocities
     position, rotation = _moved(now.position, now.rotation, 0.5 * h, v[m:])
     points, frames, gaps = contact_geometry(world, position, rotation, hand.centers)

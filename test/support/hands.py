@@ -73,7 +73,11 @@ def _finger(name: str, joints: int, bearing: float, radius: float) -> str:
 
 
 def write_hand(
-    folder: Path, joints: Sequence[int], bearings: Sequence[float] = (), radius: float = LINK
+    folder: Path,
+    joints: Sequence[int],
+    bearings: Sequence[float] = (),
+    radius: float = LINK,
+    **more: Any,
 ) -> Path:
     """Write a hand and return its YAML file.
 
@@ -82,6 +86,7 @@ def write_hand(
         joints: Number of joints of each finger, 2 to 6.
         bearings: Directions of the fingers, rad; evenly spread by default.
         radius: Distance of the fingers' bases from the palm's z axis, m.
+        **more: Further keys of the YAML file.
     """
     k = len(joints)
     bearings = bearings or [2.0 * math.pi * i / k for i in range(k)]
@@ -92,6 +97,7 @@ def write_hand(
     config = {
         "urdf": "hand.urdf",
         "fingers": [{"name": n, "tip": f"{n}_tip", "radius": 0.02} for n in names],
+        **more,
     }
     path = folder / "hand.yaml"
     path.write_text(yaml.safe_dump(config))
@@ -119,12 +125,15 @@ def posture_for(hand: Hand, tips: Array) -> Array:
     return theta
 
 
-def prism_grasp(folder: Path, joints: Sequence[int], height: float = 0.4) -> dict[str, Any]:
+def prism_grasp(
+    folder: Path, joints: Sequence[int], height: float = 0.4, **more: Any
+) -> dict[str, Any]:
     """Return a scenario whose fingers touch one side each of an upright prism.
 
-    `joints` is the number of joints of each finger, `height` that of the object over the palm, m.
+    `joints` is the number of joints of each finger, `height` that of the object over the palm, m,
+    `more` are further keys of the hand's file.
     """
-    path, k, apothem = write_hand(folder, joints), len(joints), 0.1
+    path, k, apothem = write_hand(folder, joints, **more), len(joints), 0.1
     bearings = 2.0 * np.pi * np.arange(k) / k
     outward = np.stack([np.cos(bearings), np.sin(bearings), np.zeros(k)], axis=1)
     tips = (apothem + 0.02) * outward + [0.0, 0.0, height]

@@ -6,10 +6,10 @@ import xml.etree.ElementTree as ElementTree
 import numpy as np
 import pytest
 
-from tactile_hand_ros.config.hand_config import MountConfig, load_hand_config
+from tactile_hand_ros.config.hand_config import HandConfig, MountConfig, load_hand_config
 from tactile_hand_ros.errors import HandModelError
 from tactile_hand_ros.hand.hand import Hand
-from tactile_hand_ros.hand.urdf import describe, finger_weight
+from tactile_hand_ros.hand.urdf import describe, finger_weight, read_urdf
 
 MOMENTS = {"ixx": 2.0, "iyy": 3.0, "izz": 4.0, "ixy": 0.5, "ixz": -0.4, "iyz": 0.3}
 
@@ -41,9 +41,9 @@ LIMIT = '<limit lower="{!r}" upper="1" effort="2" velocity="3"/>'
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_numbers_are_at_most_a_million(tmp_path, sign):
-    describe(written(tmp_path, chain("j", ["revolute"], LIMIT.format(sign * 1e6))), {})
+    read_urdf(written(tmp_path, chain("j", ["revolute"], LIMIT.format(sign * 1e6))))
     with pytest.raises(HandModelError, match="'j': limit lower has .*at most 1e"):
-        describe(written(tmp_path, chain("j", ["revolute"], LIMIT.format(sign * 1000000.1))), {})
+        read_urdf(written(tmp_path, chain("j", ["revolute"], LIMIT.format(sign * 1000000.1))))
 
 
 TREE = chain("ab", ["revolute"] * 2, LIMIT.format(0.0))
@@ -66,9 +66,9 @@ TREE = chain("ab", ["revolute"] * 2, LIMIT.format(0.0))
     ],
 )
 def test_what_no_hand_can_be_built_from_is_named(tmp_path, capfd, old, new, message):
-    assert describe(written(tmp_path, TREE), {})
+    assert read_urdf(written(tmp_path, TREE))
     with pytest.raises(HandModelError, match=message) as caught:
-        describe(written(tmp_path, TREE.replace(old, new, 1)), {})
+        read_urdf(written(tmp_path, TREE.replace(old, new, 1)))
     assert "\n" not in str(caught.value) and capfd.readouterr().err == ""
 
 
@@ -82,7 +82,7 @@ def test_what_no_hand_can_be_built_from_is_named(tmp_path, capfd, old, new, mess
 )
 def test_a_word_that_is_no_number_is_named_with_its_place(tmp_path, inside, place):
     with pytest.raises(HandModelError, match=place):
-        describe(written(tmp_path, inside), {})
+        read_urdf(written(tmp_path, inside))
 
 
 def turned(moments, seed):
@@ -109,27 +109,31 @@ def test_principal_moments_count_about_whatever_axes(tmp_path, moments, message,
     path = written(tmp_path, link(turned(np.array(moments), seed)))
     if message:
         with pytest.raises(HandModelError, match=f"'hand.urdf', link 'one': .*{message}"):
-            describe(path, {})
+            read_urdf(path)
         kept = "above the sum" in message
         if kept:
-            describe(path, {}, any_inertia=True)
+            read_urdf(path, any_inertia=True)
         else:
             with pytest.raises(HandModelError):
-                describe(path, {}, any_inertia=True)
+                read_urdf(path, any_inertia=True)
     else:
-        describe(path, {})
+        read_urdf(path)
 
 
 def test_a_layout_moves_the_joints_that_it_names_and_no_others(tmp_path):
     origin = '<origin xyz="1 2 3" rpy="0.1 0.2 0.3"/>' + LIMIT.format(0.0)
-    path = written(tmp_path, chain("abc", ("fixed", "fixed", "revolute"), origin))
+    written(tmp_path, chain("abc", ("fixed", "fixed", "revolute"), origin))
     mount = MountConfig(xyz=(0.25, -0.5, 4.0), rpy=(0.5, 0.25, -0.125))
-    moved = ElementTree.fromstring(describe(path, {"b": mount}))
+    fingers = [{"name": f"f{i}", "tip": "l3", "radius": 0.01} for i in range(3)]
+    layouts = {"one": {"b": mount}, "other": {"c": mount}}
+    values = {"urdf": "hand.urdf", "palm": "l0", "fingers": fingers, "layouts": layouts}
+    config = HandConfig(**values, folder=tmp_path)
+    moved = ElementTree.fromstring(describe(config, "one")[0])
     origins = {joint.get("name"): joint.find("origin").attrib for joint in moved.iter("joint")}
     assert origins["b"] == {"xyz": "0.25 -0.5 4.0", "rpy": "0.5 0.25 -0.125"}
     assert origins["a"] == origins["c"] == {"xyz": "1 2 3", "rpy": "0.1 0.2 0.3"}
     with pytest.raises(HandModelError, match="'c', which is not a fixed joint.*joints: a, b"):
-        describe(path, {"c": mount})
+        describe(config, "other")
 
 
 @pytest.mark.parametrize(("name", "weight"), [("paper", 9.81 * 0.5), ("human", 9.81 * 0.06)])

@@ -1,0 +1,179 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The hand in the URDF of a robot: the links behind the palm, and the joints that move a fingertip.
+
+Joints that move no fingertip are locked. Limits and couplings of the hand's YAML replace those of
+the URDF, in which they are often wrong.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from xml.etree.ElementTree import Element, SubElement
+
+import numpy as np
+import pinocchio as pin
+
+from tactile_hand_ros.config.hand_config import Coupling, HandConfig
+from tactile_hand_ros.errors import HandModelError
+
+_MOVES = ("revolute", "prismatic", "continuous")
+_TURN = 2.0 * math.pi  # rad, limit of a joint that turns without end
+
+
+def take_hand(root: Element, config: HandConfig, name: str) -> dict[str, Coupling]:
+    """Leave only the hand in a robot's URDF, and return its couplings by the joint that follows.
+
+    Args:
+        root: The URDF, which is changed.
+        config: The hand.
+        name: Name of the file.
+
+    Raises:
+        HandModelError: If the palm or a joint that the YAML names is not there, or a coupling has
+            no leader of its own.
+    """
+    _cut_at_palm(root, config.palm, name)
+    joints = {str(joint.get("name")): joint for joint in root.findall("joint")}
+    for limited, limit in config.limits.items():
+        if limited not in joints:
+            raise _unknown(limited, "limits", joints, name)
+        _limit(joints[limited], limit.model_dump(exclude_none=True))
+    couplings = _couplings(joints, config.couplings, name)
+    used = _chains(root, [finger.tip for finger in config.fingers])
+    used |= {couplings[follower].joint for follower in used & set(couplings)}
+    for own, joint in joints.items():
+        if joint.get("type") in _MOVES and own not in used:
+            _lock(joint)
+        elif joint.get("type") == "continuous":
+            joint.set("type", "revolute")
+            _limit(joint, {"lower": -_TURN, "upper": _TURN})
+    return {follower: each for follower, each in couplings.items() if follower in used}
+
+
+def _cut_at_palm(root: Element, palm: str, name: str) -> None:
+    """Remove all links and joints that do not hang on the palm."""
+    links = [str(link.get("name")) for link in root.findall("link")]
+    if palm not in links:
+        raise HandModelError(
+            f"palm link '{palm}' is not a link of '{name}'; name one of its links as 'palm' in the "
+            f"hand's YAML: {', '.join(links)}"
+        )
+    kept, waiting = {palm}, [palm]
+    children: dict[str, list[str]] = {}
+    for joint in root.findall("joint"):
+        parent, child = _ends(joint)
+        children.setdefault(parent, []).append(child)
+    while waiting:
+        found = children.get(waiting.pop(), [])
+        kept.update(found)
+        waiting += found
+    for link in root.findall("link"):
+        if link.get("name") not in kept:
+            root.remove(link)
+    for joint in root.findall("joint"):
+        if _ends(joint)[0] not in kept:
+            root.remove(joint)
+
+
+def _ends(joint: Element) -> tuple[str, str]:
+    """Return the parent and child link of a joint."""
+    parent, child = joint.find("parent"), joint.find("child")
+    assert parent is not None and child is not None  # checked before
+    return str(parent.get("link")), str(child.get("link"))
+
+
+def _chains(root: Element, tips: list[str]) -> set[str]:
+    """Return the moving joints between the palm and some links."""
+    above = {_ends(joint)[1]: joint for joint in root.findall("joint")}
+    found = set()
+    for tip in tips:
+        joint = above.get(tip)
+        while joint is not None:
+            if joint.get("type") in _MOVES:
+                found.add(str(joint.get("name")))
+            joint = above.get(_ends(joint)[0])
+    return found
+
+
+def _limit(joint: Element, values: Mapping[str, float]) -> None:
+    limit = joint.find("limit")
+    limit = SubElement(joint, "limit") if limit is None else limit
+    for key, value in values.items():
+        limit.set(key, repr(float(value)))
+
+
+def _couplings(
+    joints: Mapping[str, Element], wanted: Mapping[str, Coupling], name: str
+) -> dict[str, Coupling]:
+    """Return all couplings, those of the YAML first, and write them into the joints."""
+    found = {**dict(_of_urdf(joints)), **wanted}
+    for follower, coupling in found.items():
+        for joint, place in ((follower, "couplings"), (coupling.joint, f"joint of '{follower}'")):
+            if joint not in joints:
+                raise _unknown(joint, place, joints, name)
+        is_driven = joints[coupling.joint].get("type") in _MOVES and coupling.joint not in found
+        if not is_driven or coupling.ratio == 0.0:
+            raise HandModelError(
+                f"'{name}', joint '{follower}': it follows '{coupling.joint}' with ratio "
+                f"{coupling.ratio:g}, expected a joint that moves on its own and a ratio other than"
+                " 0; correct 'couplings' in the hand's YAML"
+            )
+        _mimic(joints[follower], coupling)
+    return found
+
+
+def _of_urdf(joints: Mapping[str, Element]) -> Iterator[tuple[str, Coupling]]:
+    for name, joint in joints.items():
+        if (mimic := joint.find("mimic")) is not None:
+            ratio, offset = mimic.get("multiplier", "1"), mimic.get("offset", "0")
+            leader = str(mimic.get("joint"))
+            yield name, Coupling(joint=leader, ratio=float(ratio), offset=float(offset))
+
+
+def _mimic(joint: Element, coupling: Coupling) -> None:
+    mimic = joint.find("mimic")
+    mimic = SubElement(joint, "mimic") if mimic is None else mimic
+    mimic.set("joint", coupling.joint)
+    mimic.set("multiplier", repr(coupling.ratio))
+    mimic.set("offset", repr(coupling.offset))
+
+
+def _lock(joint: Element) -> None:
+    """Fix a joint at zero, or at the end of its range that is nearest to zero."""
+    limit, at = joint.find("limit"), 0.0
+    if limit is not None and joint.get("type") != "continuous":
+        lower, upper = (float(limit.get(end, 0.0)) for end in ("lower", "upper"))
+        at = min(max(0.0, lower), upper)
+    if at:
+        _shift(joint, at)
+    joint.set("type", "fixed")
+    for tag in ("axis", "limit", "mimic", "dynamics"):
+        for element in joint.findall(tag):
+            joint.remove(element)
+
+
+def _shift(joint: Element, at: float) -> None:
+    """Move the origin of a joint to where its angle, rad, or travel, m, is zero afterwards."""
+    origin, axis = joint.find("origin"), joint.find("axis")
+    origin = SubElement(joint, "origin") if origin is None else origin
+    place, angles = (_vector(origin.get(key, "0 0 0")) for key in ("xyz", "rpy"))
+    along = at * _vector("1 0 0" if axis is None else axis.get("xyz", "1 0 0"))
+    rotation = pin.rpy.rpyToMatrix(angles)
+    if joint.get("type") == "prismatic":
+        place = place + rotation @ along
+    else:
+        angles = pin.rpy.matrixToRpy(rotation @ pin.exp3(along))
+    origin.set("xyz", " ".join(map(repr, place.tolist())))
+    origin.set("rpy", " ".join(map(repr, angles.tolist())))
+
+
+def _vector(text: str) -> np.ndarray:
+    return np.array([float(word) for word in text.split()])
+
+
+def _unknown(joint: str, place: str, joints: Mapping[str, Element], name: str) -> HandModelError:
+    return HandModelError(
+        f"{place} of the hand's YAML: '{joint}' is not a joint behind the palm of '{name}'; its "
+        f"joints are: {', '.join(joints)}"
+    )
