@@ -29,6 +29,7 @@ EXAMPLES = {
     "reset": "reset --namespace /left",
     "scenarios": "scenarios",
     "show": "show human_pull",
+    "hand": "hand my/hand.yaml",
     "sweep": 'sweep paper --over "calibration.link_lengths=0.9..1.1"',
     "reproduce": "reproduce --layout pinch",
     "report": "report runs/latest --out .",

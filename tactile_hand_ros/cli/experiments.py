@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`tactile-hand scenarios`, `show`, `sweep` and `reproduce`: scenarios and studies of them."""
+"""`tactile-hand scenarios`, `show`, `hand`, `sweep`, `reproduce`: scenarios, hands and studies."""
 
 from __future__ import annotations
 
@@ -39,6 +39,25 @@ def show(
     from tactile_hand_ros.scenario.scenario import load_scenario, resolved
 
     print(resolved(load_scenario(scenario)), end="")
+
+
+def hand(
+    name: Annotated[str, typer.Argument(help="Name of a hand, or a YAML file.")],
+    layout: Annotated[str, typer.Option(help="Layout of the fingers.")] = "",
+    out: Annotated[Path, typer.Option(help="Folder of the picture.")] = Path(),
+) -> None:
+    """Check a hand's file, print its joints and fingers, and draw it."""
+    from tactile_hand_ros.hand.hand import Hand
+    from tactile_hand_ros.report import hand as h
+
+    check_writable(out)
+    found = Hand.load(name, layout)
+    title = (
+        f"{found.joints} joints, in the order of all arrays; {found.finger_mass:.3g} kg a finger"
+    )
+    print_table(title, h.JOINT_COLUMNS, h.joint_rows(found))
+    print_table(f"{found.fingers} fingers", h.FINGER_COLUMNS, h.finger_rows(found))
+    print_files(h.draw(found, out, Path(name).stem), out)
 
 
 def sweep(
@@ -113,4 +132,4 @@ def reproduce(
     print_files(files, out)
 
 
-COMMANDS = (scenarios, show, sweep, reproduce)
+COMMANDS = (scenarios, show, hand, sweep, reproduce)

@@ -21,38 +21,17 @@ _MOVES = ("revolute", "prismatic", "continuous")
 _TURN = 2.0 * math.pi  # rad, limit of a joint that turns without end
 
 
-def take_hand(root: Element, config: HandConfig, name: str) -> dict[str, Coupling]:
-    """Leave only the hand in a robot's URDF, and return its couplings by the joint that follows.
+def cut_at_palm(root: Element, palm: str, name: str) -> None:
+    """Remove all links and joints that do not hang on the palm.
 
     Args:
         root: The URDF, which is changed.
-        config: The hand.
+        palm: Link at its root afterwards.
         name: Name of the file.
 
     Raises:
-        HandModelError: If the palm or a joint that the YAML names is not there, or a coupling has
-            no leader of its own.
+        HandModelError: If there is no such link.
     """
-    _cut_at_palm(root, config.palm, name)
-    joints = {str(joint.get("name")): joint for joint in root.findall("joint")}
-    for limited, limit in config.limits.items():
-        if limited not in joints:
-            raise _unknown(limited, "limits", joints, name)
-        _limit(joints[limited], limit.model_dump(exclude_none=True))
-    couplings = _couplings(joints, config.couplings, name)
-    used = _chains(root, [finger.tip for finger in config.fingers])
-    used |= {couplings[follower].joint for follower in used & set(couplings)}
-    for own, joint in joints.items():
-        if joint.get("type") in _MOVES and own not in used:
-            _lock(joint)
-        elif joint.get("type") == "continuous":
-            joint.set("type", "revolute")
-            _limit(joint, {"lower": -_TURN, "upper": _TURN})
-    return {follower: each for follower, each in couplings.items() if follower in used}
-
-
-def _cut_at_palm(root: Element, palm: str, name: str) -> None:
-    """Remove all links and joints that do not hang on the palm."""
     links = [str(link.get("name")) for link in root.findall("link")]
     if palm not in links:
         raise HandModelError(
@@ -74,6 +53,35 @@ def _cut_at_palm(root: Element, palm: str, name: str) -> None:
     for joint in root.findall("joint"):
         if _ends(joint)[0] not in kept:
             root.remove(joint)
+
+
+def take_hand(root: Element, config: HandConfig, name: str) -> dict[str, Coupling]:
+    """Leave only the joints of the hand movable, and return couplings by the joint that follows.
+
+    Args:
+        root: The URDF behind the palm, which is changed.
+        config: The hand.
+        name: Name of the file.
+
+    Raises:
+        HandModelError: If a joint that the YAML names is not there, or a coupling has no leader of
+            its own.
+    """
+    joints = {str(joint.get("name")): joint for joint in root.findall("joint")}
+    for limited, limit in config.limits.items():
+        if limited not in joints:
+            raise _unknown(limited, "limits", joints, name)
+        _limit(joints[limited], limit.model_dump(exclude_none=True))
+    couplings = _couplings(joints, config.couplings, name)
+    used = _chains(root, [finger.tip for finger in config.fingers])
+    used |= {couplings[follower].joint for follower in used & set(couplings)}
+    for own, joint in joints.items():
+        if joint.get("type") in _MOVES and own not in used:
+            _lock(joint)
+        elif joint.get("type") == "continuous":
+            joint.set("type", "revolute")
+            _limit(joint, {"lower": -_TURN, "upper": _TURN})
+    return {follower: each for follower, each in couplings.items() if follower in used}
 
 
 def _ends(joint: Element) -> tuple[str, str]:

@@ -115,7 +115,8 @@ class Hand:
         fingers: Number of fingers k.
         joints: Number of driven joints m.
         finger_names: Names of the k fingers.
-        joint_names: Names of the m joints, in the order of every joint array.
+        joint_names: Names of the m driven joints, in the order of every joint array.
+        couplings: Those of the other joints, by their names.
         radii: Fingertip radii r, shape (k,), m.
         description: URDF text of the hand in the chosen layout.
         effort_limits: Largest torque of each joint, shape (m,), N m; infinite where unset.
@@ -148,14 +149,15 @@ class Hand:
         Raises:
             HandModelError: If the URDF is missing or broken, or lacks a named link or joint.
         """
-        self.description, couplings = describe(config, layout)
+        self.description, self.couplings = describe(config, layout)
         self._model = _model(self.description, config)
         if link_lengths != 1.0:
             _stretch(self._model, link_lengths)
         self._tips = [_tip_frame(self._model, finger) for finger in config.fingers]
         self._data = self._model.createData()
-        driven = [name for name in self._model.names[1:] if name not in couplings]
-        self._coupling, self._offsets = _coupling(list(self._model.names[1:]), driven, couplings)
+        names = list(self._model.names[1:])
+        driven = [name for name in names if name not in self.couplings]
+        self._coupling, self._offsets = _coupling(names, driven, self.couplings)
         _check_inertia(self._model, self._coupling, config.urdf)
         self._support = _support(self._model, self._tips)
         # Views of the arrays that Pinocchio overwrites.
@@ -168,7 +170,7 @@ class Hand:
         self.finger_names = config.finger_names
         self.radii = tip_radii * np.array(config.radii)
         self.joint_names = driven
-        self._set_limits(couplings)
+        self._set_limits()
         self.bases, self.spans = _reaches(self._model, self._tips)
         self.finger_mass = sum(body.mass for body in self._model.inertias[1:]) / self.fingers
         self.finger_weight = 9.81 * self.finger_mass
@@ -203,7 +205,13 @@ class Hand:
         part.bases, part.spans = self.bases[chosen], self.spans[chosen]
         return part
 
-    def _set_limits(self, couplings: Mapping[str, Coupling]) -> None:
+    @property
+    def moves(self) -> NDArray[np.bool_]:
+        """Which driven joints move which fingertip, shape (k, m)."""
+        s = self._coupling
+        return self._support if not s.size else (self._support @ (s != 0.0)).astype(bool)
+
+    def _set_limits(self) -> None:
         """Take the limits of the model; those of a joint that follows limit the one it follows."""
         model = self._model
         index = {name: i for i, name in enumerate(model.names[1:])}
@@ -213,7 +221,7 @@ class Hand:
         lower, upper, fastest = (
             limit[own] for limit in (model.lowerPositionLimit, model.upperPositionLimit, speeds)
         )
-        for name, c in couplings.items():
+        for name, c in self.couplings.items():
             i, j = index[name], self.joint_names.index(c.joint)
             ends = model.lowerPositionLimit[i], model.upperPositionLimit[i]
             low, high = sorted((end - c.offset) / c.ratio for end in ends)

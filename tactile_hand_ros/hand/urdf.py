@@ -13,7 +13,7 @@ import numpy as np
 from tactile_hand_ros.config.hand_config import Coupling, HandConfig, MountConfig
 from tactile_hand_ros.config.plain_yaml import read_text
 from tactile_hand_ros.errors import ConfigurationError, HandModelError
-from tactile_hand_ros.hand.extract import take_hand
+from tactile_hand_ros.hand.extract import cut_at_palm, take_hand
 
 _GRAVITY = 9.81  # m/s^2
 _MAX_LINKS = 500
@@ -42,7 +42,7 @@ def describe(config: HandConfig, layout: str = "") -> tuple[str, dict[str, Coupl
         HandModelError: If the file is not the URDF of a hand, or lacks a link or joint.
     """
     path = config.folder / config.urdf
-    root = read_urdf(path, config.any_inertia)
+    root = read_urdf(path, config.palm, any_inertia=config.any_inertia)
     couplings = take_hand(root, config, path.name)
     _move(root, config.layout(layout), path.name)
     try:
@@ -51,18 +51,25 @@ def describe(config: HandConfig, layout: str = "") -> tuple[str, dict[str, Coupl
         raise HandModelError(f"'{path}' is nested too deeply; expected a URDF") from None
 
 
-def read_urdf(path: Path, any_inertia: bool = False) -> Element:
+def read_urdf(path: Path, palm: str = "", *, any_inertia: bool = False) -> Element:
     """Read a URDF and check it.
 
     Args:
         path: The file.
+        palm: Link; what does not hang on it is left out. By default all is kept.
         any_inertia: Whether to accept links with an inertia that is physically impossible.
 
     Raises:
-        HandModelError: If the file is not a URDF, or has impossible numbers.
+        HandModelError: If the file is not a URDF, lacks the palm, or has impossible numbers.
     """
     root = _parsed(path)
-    _check(root, path.name, any_inertia)
+    links = len(root.findall("link"))
+    if links > _MAX_LINKS:
+        raise HandModelError(f"'{path.name}' has {links} links; at most {_MAX_LINKS} are read")
+    _check_tree(root, path.name)
+    if palm:
+        cut_at_palm(root, palm, path.name)
+    _check_numbers(root, path.name, any_inertia)
     return root
 
 
@@ -107,23 +114,19 @@ def _not_expanded(path: Path) -> HandModelError:
     )
 
 
-def _check(root: Element, name: str, any_inertia: bool) -> None:
-    links = root.findall("link")
-    if len(links) > _MAX_LINKS:
-        raise HandModelError(f"'{name}' has {len(links)} links; at most {_MAX_LINKS} are read")
+def _check_numbers(root: Element, name: str, any_inertia: bool) -> None:
     for joint in root.findall("joint"):
         for tag, attribute, value in _numbers(joint, _OF_JOINTS, name):
             if joint.get("type") in _LIMITED and attribute == "effort" and value <= 0.0:
                 found, expected = f"{tag} effort is {value:g}", "a torque or force above 0"
                 raise _wrong(joint, name, found, expected)
-    for link in links:
+    for link in root.findall("link"):
         for tag, attribute, value in _numbers(link, _OF_LINKS, name):
             if attribute == "value" and value <= 0.0:
                 advice = "correct it, or remove <inertial> from a link without mass"
                 raise _wrong(link, name, f"{tag} is {value:g}", "a mass above 0 kg", advice)
         if link.find("inertial/inertia") is not None:
             _check_inertia(link, name, any_inertia)
-    _check_tree(root, name)
 
 
 def _check_tree(root: Element, name: str) -> None:

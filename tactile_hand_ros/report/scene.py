@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The paper's Fig. 2: hand and object in space, at the start and at the end of a run."""
+"""Hand and object in space: the paper's Fig. 2, and a hand alone."""
 
 from __future__ import annotations
 
@@ -52,7 +52,8 @@ def grasp_figure(record: Record, scenario: Scenario) -> Figure:
     with look():
         figure = new_figure(PAGE, 3.1, layout="none")
         for number, row in enumerate(rows):
-            axes, title = _panel(figure, number, points), f"({'ab'[number]}) {_WHEN[number]}"
+            axes = _panel(figure, points, 0.5 * number, 0.5)
+            title = f"({'ab'[number]}) {_WHEN[number]}"
             _draw_hand(axes, _chains(hand, record, row), hand.radii, reach)
             _draw_object(axes, record, row, scenario, reach)
             _draw_contacts(axes, record, row, reach, per_newton)
@@ -64,16 +65,30 @@ def grasp_figure(record: Record, scenario: Scenario) -> Figure:
     return figure
 
 
+def hand_figure(hand: Hand, theta: Array) -> Figure:
+    """Draw a hand alone.
+
+    Args:
+        hand: The hand.
+        theta: Joint angles, shape (m,), rad.
+    """
+    chains = [np.array(chain) for chain in hand.joint_positions(theta)]
+    points = np.vstack([np.zeros((1, 3)), *chains])
+    with look():
+        figure = new_figure(0.5 * PAGE, 3.1, layout="none")
+        axes = _panel(figure, points)
+        _draw_hand(axes, chains, hand.radii, float(np.linalg.norm(points, axis=1).max()))
+    return figure
+
+
 def _chains(hand: Hand, record: Record, row: int) -> list[Array]:
     """Return the joints and the tip of each finger at a tick, palm frame, m."""
     return [np.array(chain) for chain in hand.joint_positions(record.theta[row])]
 
 
-def _panel(figure: Figure, number: int, points: Array) -> Any:
-    """Return one half of a figure that shows a cube around some points."""
-    axes: Any = figure.add_axes(
-        (0.5 * number, 0.04, 0.5, 0.92), projection="3d", computed_zorder=False
-    )
+def _panel(figure: Figure, points: Array, left: float = 0.0, width: float = 1.0) -> Any:
+    """Return a part of a figure that shows a cube around some points."""
+    axes: Any = figure.add_axes((left, 0.04, width, 0.92), projection="3d", computed_zorder=False)
     axes.view_init(elev=24.0, azim=-65.0)
     low, high = points.min(axis=0), points.max(axis=0)
     middle, half = 0.5 * (low + high), 0.5 * float((high - low).max())

@@ -9,14 +9,18 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 from ament_index_python.packages import get_package_prefix
+from support.hands import write_hand
 from support.recorded import random_record, write_record
 
 from bench.processes import CapturedProcess, isolated_domain
 from tactile_hand_ros.cli import main
 from tactile_hand_ros.command_line import run_command
 from tactile_hand_ros.config.paths import scenario_names
+from tactile_hand_ros.hand.hand import Hand
+from tactile_hand_ros.report.hand import example_posture
 from tactile_hand_ros.ros.processes import executable_path, wait_until
 from tactile_hand_ros.scenario.scenario import load_scenario, resolved
 
@@ -65,6 +69,33 @@ def test_own_prefix_is_found_without_a_setup_file(tmp_path: Path) -> None:
     )
     found = done.stdout
     assert found.splitlines() == [str(executable_path("plant")), get_package_prefix("sensor_msgs")]
+
+
+def test_a_hand_is_printed_with_its_couplings_and_strength_and_drawn(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    coupling = {"joint": "f1_joint_3", "ratio": 0.7, "offset": 0.1}
+    path = write_hand(tmp_path, [4, 3, 3], couplings={"f1_joint_4": coupling})
+    assert main(["hand", str(path), "--out", str(tmp_path)]) == 0
+    printed = capsys.readouterr().out
+    rows = [[cell.strip() for cell in line.split("│")] for line in printed.splitlines()]
+    assert [row[1:] for row in rows if row[1:2] == ["f1_joint_3"]] == [
+        ["f1_joint_3", "f1", "-3 to 3", "30", "20", "f1_joint_4 = 0.7 q +0.1", ""]
+    ]
+    assert "10 joints, in the order of all arrays" not in printed and "9 joints" in printed
+    # The weakest joint has the longest lever, here by differences of the tip's place.
+    hand = Hand.load(str(path))
+    bent = example_posture(hand) + 1e-6 * np.vstack([np.zeros(9), np.eye(9)])
+    tips = np.array([hand.tip_positions(theta)[1] for theta in bent])
+    levers = np.linalg.norm(tips[1:] - tips[0], axis=1) / 1e-6
+    assert [row[5] for row in rows if row[1:2] == ["f2"]] == [f"{30.0 / levers.max():.2g}"]
+    assert (tmp_path / "hand.png").is_file()
+    assert "is not a link of" in refused(capsys, "hand", broken_palm(path))
+
+
+def broken_palm(path: Path) -> Path:
+    path.write_text(path.read_text() + "palm: wrist\n")
+    return path
 
 
 def test_all_scenarios_are_listed_and_one_is_shown(

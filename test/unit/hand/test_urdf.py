@@ -77,7 +77,10 @@ def test_what_no_hand_can_be_built_from_is_named(tmp_path, capfd, old, new, mess
     [
         (link(inertial='<origin xyz="0 0 x"/>'), "link 'one': inertial/origin xyz has 'x'"),
         (link({**MOMENTS, "iyz": "?"}), "link 'one': inertial/inertia iyz"),
-        ('<joint name="j"><axis xyz="1 b 0"/></joint>', "joint 'j': axis xyz has 'b'"),
+        (
+            chain("j", ["revolute"], LIMIT.format(0.0) + '<axis xyz="1 b 0"/>'),
+            "joint 'j': axis xyz has 'b'",
+        ),
     ],
 )
 def test_a_word_that_is_no_number_is_named_with_its_place(tmp_path, inside, place):

@@ -1,0 +1,64 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A hand as its users should check it: joints in their order, limits, couplings and tips."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_hand_ros.hand.hand import Hand
+from tactile_hand_ros.report.scene import hand_figure
+from tactile_hand_ros.report.style import save
+
+Array = NDArray[np.float64]
+
+JOINT_COLUMNS = ("joint", "moves", "range, rad", "torque, N m", "speed, rad/s", "also moves")
+FINGER_COLUMNS = ("finger", "joints", "radius, mm", "reach, mm", "force, N")
+
+_CLOSED = 0.4  # of the range of each joint, where the hand is drawn and its strength computed
+
+
+def example_posture(hand: Hand) -> Array:
+    """Return joint angles at which the fingers are half closed, shape (m,), rad."""
+    lower, upper = (np.clip(limit, -np.pi, np.pi) for limit in hand.position_limits)
+    return np.asarray(lower + _CLOSED * (upper - lower))
+
+
+def joint_rows(hand: Hand) -> list[list[str]]:
+    """Return the driven joints as text, with the columns of `JOINT_COLUMNS`."""
+    limits = zip(*hand.position_limits, hand.effort_limits, hand.velocity_limits, strict=True)
+    rows = []
+    for i, (name, (low, high, effort, speed)) in enumerate(
+        zip(hand.joint_names, limits, strict=True)
+    ):
+        fingers = [hand.finger_names[k] for k in np.flatnonzero(hand.moves[:, i])]
+        followers = [
+            f"{follower} = {c.ratio:g} q {c.offset:+g}"
+            for follower, c in hand.couplings.items()
+            if c.joint == name
+        ]
+        numbers = f"{low:.3g} to {high:.3g}", f"{effort:.3g}", f"{speed:.3g}"
+        rows.append([name, ", ".join(fingers), *numbers, ", ".join(followers)])
+    return rows
+
+
+def finger_rows(hand: Hand) -> list[list[str]]:
+    """Return the fingers as text, with the columns of `FINGER_COLUMNS`.
+
+    The force is what the weakest joint of a finger bears in the worst direction.
+    """
+    levers = np.linalg.norm(hand.fingertips(example_posture(hand)).linear, axis=1)
+    with np.errstate(divide="ignore"):
+        strengths = np.where(levers > 0.0, hand.effort_limits / levers, np.inf).min(axis=1)
+    numbers = zip(hand.moves.sum(axis=1), hand.radii, hand.spans, strengths, strict=True)
+    return [
+        [name, str(joints), f"{1e3 * radius:.3g}", f"{1e3 * span:.0f}", f"{strength:.2g}"]
+        for name, (joints, radius, span, strength) in zip(hand.finger_names, numbers, strict=True)
+    ]
+
+
+def draw(hand: Hand, folder: Path, name: str) -> list[Path]:
+    """Draw the hand half closed, and return the files."""
+    return save(hand_figure(hand, example_posture(hand)), folder, name)
