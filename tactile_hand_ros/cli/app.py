@@ -24,7 +24,7 @@ PROGRAM = "tactile-hand"
 
 EXAMPLES = {
     "run": "run human_pull --set slip_regulator.mode=user --duration 5",
-    "grasp": "grasp --namespace /left",
+    "grasp": "grasp my/my_hand.yaml 0.06",
     "release": "release --namespace /left",
     "reset": "reset --namespace /left",
     "scenarios": "scenarios",

@@ -7,6 +7,7 @@ import contextlib
 import math
 import os
 from collections.abc import Iterator
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -72,10 +73,31 @@ def squeeze(
     print(f"a grasp force of {force:g} N is requested from t = {since:.3f} s")
 
 
-def grasp(namespace: NamespaceOption = "", timeout: TimeoutOption = _TIMEOUT) -> None:
-    """Close the fingers of a running hand until all touch."""
-    with _hand(namespace, timeout) as hand:
-        print(hand.grasp(True))
+def grasp(
+    hand: Annotated[str, typer.Argument(help="Find a grasp of this hand: name or YAML file.")] = "",
+    edges: Annotated[
+        list[float] | None,
+        typer.Argument(metavar="[EDGE]...", help="Edge of the cube, or three of a box [m]."),
+    ] = None,
+    friction: Annotated[float, typer.Option(help="Friction coefficient.", min=0.01)] = 0.5,
+    mass: Annotated[
+        float, typer.Option(metavar="KG", help="Mass of the box [kg]; 0 for what fits.", min=0.0)
+    ] = 0.0,
+    out: Annotated[Path, typer.Option(help="Folder of scenario and picture.")] = Path("my"),
+    namespace: NamespaceOption = "",
+    timeout: TimeoutOption = _TIMEOUT,
+) -> None:
+    """Close the fingers of a running hand, or find a grasp of HAND and write a scenario.
+
+    Without HAND the fingers of the running hand close until all touch.
+    """
+    if hand:
+        from tactile_hand_ros.cli.grasps import find_grasp
+
+        find_grasp(hand, edges or [], friction, mass, out)
+        return
+    with _hand(namespace, timeout) as running:
+        print(running.grasp(True))
 
 
 def release(namespace: NamespaceOption = "", timeout: TimeoutOption = _TIMEOUT) -> None:

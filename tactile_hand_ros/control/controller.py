@@ -43,8 +43,10 @@ _NOT_FINITE = "the law gives no finite torque; holding until its inputs are plau
 _LONGEST_GAP = 0.05  # s; after a longer pause a tick integrates and moves no more than this
 _SHORTEST_LEVER = 1e-6  # m, far below any hand's; keeps the linear system regular
 _MOVES_UNTIL = 0.8  # fraction of the limit of k_f at which a move stops, before the load grows
-_ROOM = 0.1  # fraction of the way to a rim or the end of a joint that must be left
 _LONGEST_PERIOD = 0.01  # s between ticks, assumed before the second tick
+
+LEAST_ROOM = 0.1
+"""Fraction of the way to a rim or the end of a joint that a move must leave."""
 
 
 class PostureHoldConfig(Config):
@@ -490,8 +492,8 @@ class Controller:
             )
         left = room(self._fingers, theta, contacts)
         self._room = left if self._room is None else np.maximum(self._room, left)
-        nearer = (left < self._room - 0.5 * _ROOM) & (self._room > 0.0)
-        ends = np.flatnonzero((left < _ROOM) & nearer)
+        nearer = (left < self._room - 0.5 * LEAST_ROOM) & (self._room > 0.0)
+        ends = np.flatnonzero((left < LEAST_ROOM) & nearer)
         return f"it brings {end_of(self._fingers, int(ends[0]))}" if len(ends) else ""
 
     def hold(

@@ -21,9 +21,11 @@ from tactile_hand_ros.report.style import (
     look,
     new_figure,
 )
-from tactile_hand_ros.rotations import rotation_from_quaternion
+from tactile_hand_ros.rotations import rodrigues, rotation_from_quaternion
 from tactile_hand_ros.run.derived import contact_forces, dropped_at
 from tactile_hand_ros.scenario.scenario import Scenario
+from tactile_hand_ros.simulation.plant_config import ObjectConfig
+from tactile_hand_ros.simulation.solid import ConvexPolyhedron
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -65,12 +67,13 @@ def grasp_figure(record: Record, scenario: Scenario) -> Figure:
     return figure
 
 
-def hand_figure(hand: Hand, theta: Array) -> Figure:
-    """Draw a hand alone.
+def hand_figure(hand: Hand, theta: Array, body: ObjectConfig | None = None) -> Figure:
+    """Draw a hand alone, or with an object.
 
     Args:
         hand: The hand.
         theta: Joint angles, shape (m,), rad.
+        body: The object at its initial pose.
     """
     chains = [np.array(chain) for chain in hand.joint_positions(theta)]
     points = np.vstack([np.zeros((1, 3)), *chains])
@@ -78,6 +81,8 @@ def hand_figure(hand: Hand, theta: Array) -> Figure:
         figure = new_figure(0.5 * PAGE, 3.1, layout="none")
         axes = _panel(figure, points)
         _draw_hand(axes, chains, hand.radii, float(np.linalg.norm(points, axis=1).max()))
+        if body is not None:
+            _draw_solid(axes, body.solid(), rodrigues(*body.rotation), np.array(body.position))
     return figure
 
 
@@ -119,7 +124,10 @@ def _draw_object(axes: Any, record: Record, row: int, scenario: Scenario, reach:
     solid, place = scenario.plant.object.solid(), record.object_position[row]
     if not np.linalg.norm(place) < 2.0 * reach:  # unknown, or fallen away
         return
-    turn = rotation_from_quaternion(record.object_quaternion[row])
+    _draw_solid(axes, solid, rotation_from_quaternion(record.object_quaternion[row]), place)
+
+
+def _draw_solid(axes: Any, solid: ConvexPolyhedron, turn: Array, place: Array) -> None:
     corners = solid.vertices @ turn.T + place
     patch = optional("mpl_toolkits.mplot3d.art3d", "Drawing").Poly3DCollection(
         [corners[face] for face in solid.face_corners],

@@ -206,7 +206,8 @@ def real_hand(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
         description = description.replace(f"finger_{number}", name)
     description = description.replace('ixx="0.0077"', 'ixx="0.0042"')  # Table I's is impossible
     (tmp_path / "my_hand.urdf").write_text(description)
-    (tmp_path / "my_hand.yaml").write_text(fenced(text, "yaml"))
+    hand = fenced(page("docs/tutorials/your-own-hand.md"), "yaml")
+    (tmp_path / "my_hand.yaml").write_text(hand)
     monkeypatch.chdir(tmp_path)
     return text
 
@@ -220,7 +221,7 @@ def fenced(text: str, kind: str) -> str:
 
 def test_a_hand_of_ones_own_is_tried_by_the_command_of_its_page(real_hand: str) -> None:
     [option] = re.findall(r"--set (hand=\S+) …`", real_hand)
-    wide = 0.2604 + 2.0 * (0.06 - 0.008)  # m; its tips are smaller than those of the paper
+    wide = 0.2604 + 2.0 * (0.06 - 0.012)  # m; its tips are smaller than those of the paper
     changes = parse_changes([option, f"plant.object.size=[{wide}, {wide}, {wide}]", "duration=0.1"])
     record = ClosedLoop(load_scenario("paper", changes)).run()
     assert record.finger_names == ["thumb", "index", "middle"]

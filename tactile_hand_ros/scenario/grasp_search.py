@@ -1,0 +1,275 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Joint angles at which a hand holds a box: one finger on a face, the others opposite.
+
+A least-squares search from many random postures, with one residual for each demand: tips touch
+their faces, away from the edges, on their hemispheres, apart from each other and facing each other,
+and joints stay away from their ends. What is found is ranked by the load that the weakest joint
+permits with the friction that a hand expects before it has slipped.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_hand_ros.control.contact import Contacts, contact_frame, in_palm, joint_torques
+from tactile_hand_ros.control.controller import LEAST_ROOM
+from tactile_hand_ros.control.optimizer.force_optimizer import ForceOptimizer, ForceOptimizerConfig
+from tactile_hand_ros.control.reach import room
+from tactile_hand_ros.control.slip.regulator import SlipRegulatorConfig
+from tactile_hand_ros.errors import GraspError
+from tactile_hand_ros.extras import optional
+from tactile_hand_ros.hand.hand import Hand
+from tactile_hand_ros.rotations import rodrigues, vector_from_rotation
+
+Array = NDArray[np.float64]
+
+STARTS = 40
+"""Random postures for each choice of faces and of the finger that is alone."""
+
+BEARABLE = 0.8
+"""Fraction of the grasp force that the weakest joint can bear, for the limit of k_f."""
+
+_EDGE = 0.25  # of half an edge, distance that contacts keep from the edges
+_TOP = np.cos(np.radians(60.0))  # of the angle between a contact and the top of its hemisphere
+_GAP = 0.002  # m between two fingertips
+_MIDDLE = 0.03  # weight of joint angles in the middle of their range
+_OUTSIDE = 0.9  # of the range of a joint, from which more is avoided
+_TOUCH = 1e-4  # m; further away, a tip does not touch
+_WEIGHTS = (10.0, 1.0, 10.0)  # of (13), as in the scenarios
+
+
+@dataclass(frozen=True)
+class FoundGrasp:
+    """A grasp of a box.
+
+    Attributes:
+        theta: Joint angles, shape (m,), rad.
+        position: Center of the box, palm frame, shape (3,), m.
+        rotation: Its rotation vector, shape (3,), rad.
+        contacts: Contacts of the fingers, palm frame.
+        friction: Friction coefficient that f* needs.
+        grasp_force: Largest k_f, `BEARABLE` of what the weakest joint permits, N.
+        room: Smallest fraction left of the ways to joint limits and rims; see `reach.room`.
+        load: Force that the expected friction can carry at that k_f, N.
+    """
+
+    theta: Array
+    position: Array
+    rotation: Array
+    contacts: Contacts
+    friction: float
+    grasp_force: float
+    room: float
+    load: float
+
+
+def expected_friction(friction: float) -> float:
+    """Return the friction coefficient that a new grasp relies on, for the true one."""
+    config = SlipRegulatorConfig()
+    return min(friction, config.friction.prior) * (1.0 - config.reflex.margin)
+
+
+def search(
+    hand: Hand,
+    size: tuple[float, float, float],
+    friction: float,
+    seed: int = 0,
+    advance: Callable[[str], None] = lambda _: None,
+) -> list[FoundGrasp]:
+    """Return the grasps that were found, the one that carries most first.
+
+    Args:
+        hand: The hand.
+        size: Edges of the box, m.
+        friction: Friction coefficient of the box.
+        seed: Seed of the random postures.
+        advance: Called after each start with what is tried; there are `number_of_starts`.
+
+    Raises:
+        GraspError: If there is none, with the reason that came up most.
+    """
+    relied = expected_friction(friction)
+    random, found, reasons = np.random.default_rng(seed), list[FoundGrasp](), list[str]()
+    for alone, axis in _choices(hand, size):
+        for _ in range(STARTS):
+            grasp, reason = _Problem(hand, size, alone, axis).solve(random, relied)
+            reasons.append(reason)
+            if grasp is not None:
+                found.append(grasp)
+            advance(f"{hand.finger_names[alone]} against the others")
+    if not found:
+        most = max(set(reasons), key=reasons.count)
+        raise GraspError(
+            f"no grasp of a box of {' x '.join(f'{1e3 * edge:g}' for edge in size)} mm was found "
+            f"from {len(reasons)} postures; most often {most}. Try another size, or check limits, "
+            "axis and center of the tips with `tactile-hand hand`"
+        )
+    return sorted(found, key=lambda grasp: -grasp.load)
+
+
+def scenario_values(
+    hand: str, size: tuple[float, float, float], friction: float, mass: float, found: FoundGrasp
+) -> dict[str, Any]:
+    """Return a scenario in which a hand holds the box, as it is written to a YAML file.
+
+    The grasp force starts at one and a half times what the weight needs.
+
+    Args:
+        hand: Name or file of the hand.
+        size: Edges of the box, m.
+        friction: Friction coefficient.
+        mass: Mass of the box, kg.
+        found: The grasp.
+    """
+    needed = 9.81 * mass / (expected_friction(friction) - found.friction)
+    return {
+        "extends": "human_hold",
+        "description": f"A box of {mass:.3g} kg, held with joint angles found by a search.",
+        "hand": hand,
+        "layout": "",
+        "targets": [],
+        "plant": {
+            "initial_joints": _rounded(found.theta),
+            "object": {
+                "size": list(size),
+                "mass": round(mass, 4),
+                "friction": friction,
+                "position": _rounded(found.position),
+                "rotation": _rounded(found.rotation),
+            },
+        },
+        "slip_regulator": {
+            "grasp_force": round(min(1.5 * needed, found.grasp_force), 3),
+            "maximum": round(found.grasp_force, 3),
+        },
+    }
+
+
+def _rounded(values: Array) -> list[float]:
+    return [round(float(value), 6) for value in values]
+
+
+def number_of_starts(hand: Hand, size: tuple[float, float, float]) -> int:
+    """Return how many postures `search` starts from; see there."""
+    return STARTS * len(list(_choices(hand, size)))
+
+
+def _choices(hand: Hand, size: tuple[float, float, float]) -> Iterator[tuple[int, int]]:
+    """Yield which finger is alone, and the axis of the box along which it presses."""
+    axes = {edge: axis for axis, edge in enumerate(size)}  # of equal edges one suffices
+    return itertools.product(range(hand.fingers), axes.values())
+
+
+class _Problem:
+    """One choice of faces: the finger `alone` presses along an axis of the box, the others back."""
+
+    def __init__(self, hand: Hand, size: tuple[float, float, float], alone: int, axis: int) -> None:
+        self._hand, self._half, self._alone, self._axis = hand, 0.5 * np.array(size), alone, axis
+        self._sides = np.where(np.arange(hand.fingers) == alone, -1.0, 1.0)  # of the box
+        self._across = [i for i in range(3) if i != axis]
+        self._pairs = list(itertools.combinations(range(hand.fingers), 2))
+        lower, upper = (np.clip(limit, -np.pi, np.pi) for limit in hand.position_limits)
+        self._lower, self._upper = lower, upper
+        self._scale = float(self._half.min())
+
+    def solve(self, random: Any, friction: float) -> tuple[FoundGrasp | None, str]:
+        """Return a grasp from a random posture, or why it is none."""
+        optimize = optional("scipy.optimize", "Searching for a grasp")
+        theta = self._lower + random.uniform(0.2, 0.7, self._hand.joints) * (
+            self._upper - self._lower
+        )
+        start = np.concatenate([theta, *self._placed(theta, random)])
+        bounds = np.full(len(start), np.inf)
+        bounds[: len(theta)] = self._upper + 1e-9
+        below = np.concatenate([self._lower - 1e-9, np.full(6, -np.inf)])
+        x = optimize.least_squares(
+            self._residuals, start, bounds=(below, bounds), max_nfev=60, x_scale="jac"
+        ).x
+        return self._judged(x, friction)
+
+    def _placed(self, theta: Array, random: Any) -> tuple[Array, Array]:
+        """Return a pose of the box between the fingertips: position and rotation vector."""
+        tips = self._hand.tip_positions(theta)
+        others = tips[np.arange(len(tips)) != self._alone].mean(axis=0)
+        along = others - tips[self._alone]
+        along = along / max(float(np.linalg.norm(along)), 1e-9)
+        frame = np.empty((3, 3))
+        frame[:, self._axis] = along
+        side = np.cross(along, random.standard_normal(3))
+        frame[:, self._across[0]] = side / np.linalg.norm(side)
+        frame[:, self._across[1]] = np.cross(along, frame[:, self._across[0]])
+        frame[:, self._across[1]] *= np.sign(np.linalg.det(frame))
+        return 0.5 * (others + tips[self._alone]), vector_from_rotation(frame)
+
+    def _seen(self, x: Array) -> tuple[Array, Array, Array]:
+        """Return tips in the frame of the box, shape (k, 3), its rotation and the joint angles."""
+        theta, position, turn = x[: self._hand.joints], x[-6:-3], rodrigues(*x[-3:])
+        return (self._hand.tip_positions(theta) - position) @ turn, turn, theta
+
+    def _normals(self, turn: Array) -> Array:
+        """Return the inward normals of the touched faces, palm frame, shape (k, 3)."""
+        return np.asarray(-self._sides[:, None] * turn[:, self._axis])
+
+    def _residuals(self, x: Array) -> Array:
+        tips, turn, theta = self._seen(x)
+        hand, across = self._hand, self._across
+        gaps = self._sides * tips[:, self._axis] - self._half[self._axis] - hand.radii
+        sideways = np.abs(tips[:, across]) - (1.0 - _EDGE) * self._half[across]
+        tops = hand.tip_rotations(theta)[:, :, 0]
+        lean = _TOP - (tops * self._normals(turn)).sum(axis=1)
+        others = tips[self._sides > 0.0][:, across].mean(axis=0)
+        facing = tips[self._alone, across] - others
+        apart = [
+            hand.radii[i] + hand.radii[j] + _GAP - np.linalg.norm(tips[i] - tips[j])
+            for i, j in self._pairs
+        ]
+        middle = 2.0 * (theta - self._lower) / (self._upper - self._lower) - 1.0
+        return np.concatenate(
+            [
+                gaps / (0.01 * self._scale),
+                np.maximum(0.0, sideways).ravel() / (0.1 * self._scale),
+                3.0 * np.maximum(0.0, lean),
+                facing / self._scale,
+                np.maximum(0.0, apart) / (0.1 * self._scale),
+                _MIDDLE * middle,
+                5.0 * np.maximum(0.0, np.abs(middle) - _OUTSIDE),
+            ]
+        )
+
+    def _judged(self, x: Array, friction: float) -> tuple[FoundGrasp | None, str]:
+        tips, turn, theta = self._seen(x)
+        hand, normals = self._hand, self._normals(turn)
+        gaps = self._sides * tips[:, self._axis] - self._half[self._axis] - hand.radii
+        if np.abs(gaps).max() > _TOUCH:
+            worst = hand.finger_names[int(np.abs(gaps).argmax())]
+            return None, f"{worst} does not reach its face"
+        if (np.abs(tips[:, self._across]) > self._half[self._across]).any():
+            return None, "a contact is beyond an edge"
+        points = x[-6:-3] + tips @ turn.T + hand.radii[:, None] * normals
+        contacts = Contacts(points, np.array([contact_frame(normal) for normal in normals]))
+        left = float(room(hand, theta, contacts).min())
+        if left < LEAST_ROOM:
+            return None, "a joint is near its end, or a contact near the rim of its fingertip"
+        config = ForceOptimizerConfig(weights=list(_WEIGHTS))
+        optimal = ForceOptimizer(config, hand.fingers).solve(contacts)
+        if not optimal.ok:
+            return None, optimal.reason
+        normal, sideways = optimal.forces[:, 1], np.hypot(*optimal.forces[:, [0, 2]].T)
+        needed = float((sideways / normal).max()) if (normal > 0.0).all() else np.inf
+        if needed >= friction:
+            return None, f"friction of {friction:g} does not hold it"
+        pressing = in_palm(contacts.rotations, optimal.forces, 1.0)
+        torques = joint_torques(*hand.fingertips(theta), points, pressing)
+        spare = hand.effort_limits - np.abs(hand.gravity_torque(theta))
+        with np.errstate(divide="ignore"):
+            grasp_force = BEARABLE * float((spare / np.abs(torques)).min())
+        if grasp_force <= 0.0:
+            return None, "the joints cannot carry the fingers"
+        pose, load = (x[-6:-3].copy(), x[-3:].copy()), grasp_force * (friction - needed)
+        return FoundGrasp(theta.copy(), *pose, contacts, needed, grasp_force, left, load), ""

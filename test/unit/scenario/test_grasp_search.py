@@ -1,0 +1,106 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Grasps that a search finds are grasps: of shipped hands, mixed hands, coupled ones, any box."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from support.hands import write_hand
+
+from tactile_hand_ros.cli import main
+from tactile_hand_ros.closed_loop.loop import ClosedLoop
+from tactile_hand_ros.errors import GraspError
+from tactile_hand_ros.hand.hand import Hand
+from tactile_hand_ros.scenario import grasp_search
+from tactile_hand_ros.scenario.grasp_search import expected_friction, scenario_values, search
+from tactile_hand_ros.scenario.scenario import load_scenario
+from tactile_hand_ros.simulation.plant import Plant
+
+DOWN = np.array([0.0, 0.0, -9.81])
+
+
+@pytest.fixture(autouse=True)
+def _few_starts(monkeypatch):
+    monkeypatch.setattr(grasp_search, "STARTS", 8)
+
+
+def scenario(tmp_path, values, **more):
+    file = tmp_path / "found.yaml"
+    file.write_text(yaml.safe_dump(values))
+    return load_scenario(str(file), more)
+
+
+def hand_file(tmp_path, joints, **more):
+    return str(write_hand(tmp_path, joints, **more)) if joints else "human"
+
+
+@pytest.mark.parametrize(
+    ("joints", "size", "more"),
+    [
+        ((), (0.04, 0.04, 0.04), {}),
+        ((), (0.03, 0.05, 0.07), {}),
+        ((3, 4, 3), (0.2, 0.2, 0.2), {}),
+        ((4, 4, 4), (0.2, 0.2, 0.2), {"couplings": {"f1_joint_4": {"joint": "f1_joint_3"}}}),
+        ((3, 3, 3, 3), (0.2, 0.2, 0.2), {}),
+    ],
+)
+def test_what_is_found_touches_one_face_and_the_opposite_and_can_bear_its_load(
+    tmp_path, joints, size, more
+):
+    name = hand_file(tmp_path, joints, **more)
+    hand = Hand.load(name, gravity=DOWN)
+    best, *others = search(hand, size, 0.5)
+    assert all(best.load >= other.load for other in others)
+    plant = Plant(scenario(tmp_path, scenario_values(name, size, 0.5, 0.05, best)).plant)
+    assert np.abs(plant.state.gaps).max() < 2e-4 and plant.state.contacts.all_touching
+    inward = best.contacts.normals
+    alone = [i for i in range(len(inward)) if (inward @ inward[i] < -0.999).sum() > 1]
+    assert len(alone) == 1 and best.room >= 0.1
+    assert best.load == pytest.approx(best.grasp_force * (expected_friction(0.5) - best.friction))
+    # At that grasp force every joint is inside its limit, the weakest at 80 % of what is left.
+    weight = np.abs(hand.gravity_torque(best.theta))
+    pressing = np.zeros(hand.joints)
+    tips = hand.fingertips(best.theta)
+    shares = np.where(np.arange(len(inward)) == alone[0], 0.5, 0.5 / (len(inward) - 1))
+    for i, normal in enumerate(inward):
+        arm = best.contacts.positions[i] - tips.positions[i]
+        force = best.grasp_force * shares[i] * normal
+        pressing += tips.linear[i].T @ force + tips.angular[i].T @ np.cross(arm, force)
+    used = np.abs(pressing) / (hand.effort_limits - weight)
+    assert used.max() == pytest.approx(0.8, rel=0.3)  # f* differs where the hand is not symmetric
+
+
+def test_a_found_grasp_holds_lifts_nothing_else_and_bears_a_pull(tmp_path):
+    """First try, under gravity, with gains from the hand."""
+    best = search(Hand.load("human", gravity=DOWN), (0.04, 0.04, 0.04), 0.5)[0]
+    values = scenario_values("human", (0.04, 0.04, 0.04), 0.5, 0.1, best)
+    pull = [{"kind": "step", "start": 0.5, "force": [0.0, 0.0, -2.0]}]
+    record = ClosedLoop(
+        scenario(tmp_path, values, duration=1.0, **{"plant.disturbances": pull})
+    ).run()
+    moved = np.linalg.norm(record.object_position - record.object_position[0], axis=1)
+    assert len(record) == 1001 and moved.max() < 0.003
+    assert np.isfinite(record.true_positions).all()
+
+
+def test_without_a_grasp_it_says_why():
+    hand = Hand.load("human", gravity=DOWN)
+    with pytest.raises(GraspError, match="box of 500 x 500 x 500 mm .* does not reach its face"):
+        search(hand, (0.5, 0.5, 0.5), 0.5)
+
+
+def test_the_command_writes_a_scenario_that_can_run_and_a_picture(tmp_path, capsys):
+    assert main(["grasp", "human", "0.04", "--out", str(tmp_path)]) == 0
+    printed = capsys.readouterr().out
+    file = tmp_path / "human_40mm.yaml"
+    assert f"next: tactile-hand run {file}" in printed and Path(file).with_suffix(".png").is_file()
+    record = ClosedLoop(load_scenario(str(file), {"duration": 0.2})).run()
+    assert np.isfinite(record.true_positions).all()
+    for words, message in (
+        (["human"], "expected one or three positive lengths"),
+        (["human", "0.04", "0.03"], "expected one or three positive lengths"),
+        (["human", "0.04", "--mass", "50"], "a box of 50 kg is too heavy: the best grasp carries"),
+    ):
+        assert main(["grasp", *words, "--out", str(tmp_path)]) == 2
+        assert message in capsys.readouterr().err
