@@ -117,7 +117,10 @@ def _couplings(
     """Return all couplings, those of the YAML first, and write them into the joints."""
     found = {**dict(_of_urdf(joints)), **wanted}
     for follower, coupling in found.items():
-        for joint, place in ((follower, "couplings"), (coupling.joint, f"joint of '{follower}'")):
+        for joint, place in (
+            (follower, "couplings"),
+            (coupling.joint, f"the coupling of '{follower}'"),
+        ):
             if joint not in joints:
                 raise _unknown(joint, place, joints, name)
         is_driven = joints[coupling.joint].get("type") in _MOVES and coupling.joint not in found
@@ -182,6 +185,6 @@ def _vector(text: str) -> np.ndarray:
 
 def _unknown(joint: str, place: str, joints: Mapping[str, Element], name: str) -> HandModelError:
     return HandModelError(
-        f"{place} of the hand's YAML: '{joint}' is not a joint behind the palm of '{name}'; its "
-        f"joints are: {', '.join(joints)}"
+        f"{place} names '{joint}', which is not a joint behind the palm of '{name}'; correct the "
+        f"hand's YAML. The joints are: {', '.join(joints)}"
     )
