@@ -44,14 +44,15 @@ def cut_at_palm(root: Element, palm: str, name: str) -> None:
         parent, child = _ends(joint)
         children.setdefault(parent, []).append(child)
     while waiting:
-        found = children.get(waiting.pop(), [])
+        found = [link for link in children.get(waiting.pop(), []) if link not in kept]
         kept.update(found)
         waiting += found
     for link in root.findall("link"):
         if link.get("name") not in kept:
             root.remove(link)
     for joint in root.findall("joint"):
-        if _ends(joint)[0] not in kept:
+        parent, child = _ends(joint)
+        if parent not in kept or child == palm:
             root.remove(joint)
 
 
@@ -137,9 +138,8 @@ def _couplings(
 def _of_urdf(joints: Mapping[str, Element]) -> Iterator[tuple[str, Coupling]]:
     for name, joint in joints.items():
         if (mimic := joint.find("mimic")) is not None:
-            ratio, offset = mimic.get("multiplier", "1"), mimic.get("offset", "0")
-            leader = str(mimic.get("joint"))
-            yield name, Coupling(joint=leader, ratio=float(ratio), offset=float(offset))
+            ratio, offset = _number(mimic, "multiplier", 1.0), _number(mimic, "offset", 0.0)
+            yield name, Coupling(joint=str(mimic.get("joint")), ratio=ratio, offset=offset)
 
 
 def _mimic(joint: Element, coupling: Coupling) -> None:
@@ -154,7 +154,7 @@ def _lock(joint: Element) -> None:
     """Fix a joint at zero, or at the end of its range that is nearest to zero."""
     limit, at = joint.find("limit"), 0.0
     if limit is not None and joint.get("type") != "continuous":
-        lower, upper = (float(limit.get(end, 0.0)) for end in ("lower", "upper"))
+        lower, upper = (_number(limit, end, 0.0) for end in ("lower", "upper"))
         at = min(max(0.0, lower), upper)
     if at:
         _shift(joint, at)
@@ -179,8 +179,16 @@ def _shift(joint: Element, at: float) -> None:
     origin.set("rpy", " ".join(map(repr, angles.tolist())))
 
 
+def _number(element: Element, key: str, default: float) -> float:
+    words = element.get(key, "").split()
+    return float(words[0]) if words else default
+
+
 def _vector(text: str) -> np.ndarray:
-    return np.array([float(word) for word in text.split()])
+    words = text.split()
+    if len(words) != 3:
+        raise HandModelError(f"a joint of the URDF has '{text}', expected three numbers")
+    return np.array([float(word) for word in words])
 
 
 def _unknown(joint: str, place: str, joints: Mapping[str, Element], name: str) -> HandModelError:

@@ -69,6 +69,20 @@ def test_joints_that_move_no_fingertip_are_locked_nearest_to_zero(tmp_path, kind
     assert_allclose(hand.gravity_torque(theta), np.delete(at, i), atol=1e-12)
 
 
+def test_a_ring_of_links_before_the_palm_is_left_out(tmp_path):
+    path = write_hand(tmp_path, [3, 3, 3])
+    ring = joint("in", "one", "palm") + joint("out", "palm", "one") + '<link name="one"/>'
+    hand = changed(path, ("</robot>", f'{ring}<link name="world"/></robot>'))
+    assert hand.joints == 9
+
+
+def test_a_locked_joint_without_three_numbers_is_named(tmp_path):
+    path = write_hand(tmp_path, [3, 3, 3])
+    nail = '<link name="nail"/>' + joint("n", "f2_tip", "nail").replace("0 0.6 0.8", "0 1")
+    with pytest.raises(HandModelError, match="'0 1', expected three numbers"):
+        changed(path, ("</robot>", nail + "</robot>"))
+
+
 def test_limits_of_the_yaml_win(tmp_path):
     before = Hand.load(str(write_hand(tmp_path, [3, 3, 3])))
     limits = {"f2_joint_1": {"lower": -0.2, "effort": 0.17}, "f3_joint_3": {"velocity": 2.5}}
