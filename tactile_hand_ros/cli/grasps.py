@@ -24,7 +24,7 @@ from tactile_hand_ros.simulation.plant_config import ObjectConfig
 
 COLUMNS = ("", "load, N", "largest k_f, N", "friction needed", "room left, %")
 _SHOWN = 5
-_PART = 1.0 / 3.0  # of the load that can be held, the weight of a box without a mass
+_PART = 0.2  # of the load that can be held, the weight of a box; the rest is for pulls
 _HEAVY = 0.2  # kg, the most that such a box weighs
 _GRAVITY = 9.81  # m/s^2, along -z of the palm
 
@@ -38,7 +38,7 @@ def find_grasp(
         hand: Name or YAML file.
         edges: One edge of a cube or three of a box, m.
         friction: Friction coefficient.
-        mass: Mass of the box, kg; 0 for a third of what the hand can hold, at most 0.2 kg.
+        mass: Mass of the box, kg; 0 for a fifth of what the hand can hold, at most 0.2 kg.
         folder: For the files.
 
     Raises:

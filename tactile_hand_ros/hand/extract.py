@@ -12,7 +12,6 @@ from collections.abc import Iterator, Mapping
 from xml.etree.ElementTree import Element, SubElement
 
 import numpy as np
-import pinocchio as pin
 
 from tactile_hand_ros.config.hand_config import Coupling, HandConfig
 from tactile_hand_ros.errors import HandModelError
@@ -166,6 +165,8 @@ def _lock(joint: Element) -> None:
 
 def _shift(joint: Element, at: float) -> None:
     """Move the origin of a joint to where its angle, rad, or travel, m, is zero afterwards."""
+    import pinocchio as pin  # loads slowly, and most hands lock nothing
+
     origin, axis = joint.find("origin"), joint.find("axis")
     origin = SubElement(joint, "origin") if origin is None else origin
     place, angles = (_vector(origin.get(key, "0 0 0")) for key in ("xyz", "rpy"))

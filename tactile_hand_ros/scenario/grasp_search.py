@@ -17,8 +17,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_hand_ros.control.contact import Contacts, contact_frame, in_palm, joint_torques
+from tactile_hand_ros.control.contact import (
+    Contacts,
+    contact_frame,
+    face_frame,
+    in_palm,
+    joint_torques,
+)
 from tactile_hand_ros.control.controller import LEAST_ROOM
+from tactile_hand_ros.control.grasp import wrench_forces
 from tactile_hand_ros.control.optimizer.force_optimizer import ForceOptimizer, ForceOptimizerConfig
 from tactile_hand_ros.control.reach import room
 from tactile_hand_ros.control.slip.regulator import SlipRegulatorConfig
@@ -31,9 +38,6 @@ Array = NDArray[np.float64]
 
 STARTS = 40
 """Random postures for each choice of faces and of the finger that is alone."""
-
-BEARABLE = 0.8
-"""Fraction of the grasp force that the weakest joint can bear, for the limit of k_f."""
 
 _EDGE = 0.25  # of half an edge, distance that contacts keep from the edges
 _TOP = np.cos(np.radians(60.0))  # of the angle between a contact and the top of its hemisphere
@@ -54,9 +58,10 @@ class FoundGrasp:
         rotation: Its rotation vector, shape (3,), rad.
         contacts: Contacts of the fingers, palm frame.
         friction: Friction coefficient that f* needs.
-        grasp_force: Largest k_f, `BEARABLE` of what the weakest joint permits, N.
+        grasp_force: k_f that friction needs for that load, N.
         room: Smallest fraction left of the ways to joint limits and rims; see `reach.room`.
-        load: Force that the expected friction can carry at that k_f, N.
+        load: Largest force on the box, in any direction, at which all joints stay inside their
+            limits, N.
     """
 
     theta: Array
@@ -199,12 +204,9 @@ class _Problem:
         others = tips[np.arange(len(tips)) != self._alone].mean(axis=0)
         along = others - tips[self._alone]
         along = along / max(float(np.linalg.norm(along)), 1e-9)
-        frame = np.empty((3, 3))
-        frame[:, self._axis] = along
-        side = np.cross(along, random.standard_normal(3))
-        frame[:, self._across[0]] = side / np.linalg.norm(side)
-        frame[:, self._across[1]] = np.cross(along, frame[:, self._across[0]])
-        frame[:, self._across[1]] *= np.sign(np.linalg.det(frame))
+        sides = random.standard_normal((2, 3))
+        sides /= np.linalg.norm(sides, axis=1)[:, None]
+        frame = np.roll(face_frame(along, *sides), self._axis - 1, axis=1)  # from [t_x, n, t_z]
         return 0.5 * (others + tips[self._alone]), vector_from_rotation(frame)
 
     def _seen(self, x: Array) -> tuple[Array, Array, Array]:
@@ -264,12 +266,18 @@ class _Problem:
         needed = float((sideways / normal).max()) if (normal > 0.0).all() else np.inf
         if needed >= friction:
             return None, f"friction of {friction:g} does not hold it"
-        pressing = in_palm(contacts.rotations, optimal.forces, 1.0)
-        torques = joint_torques(*hand.fingertips(theta), points, pressing)
-        spare = hand.effort_limits - np.abs(hand.gravity_torque(theta))
-        with np.errstate(divide="ignore"):
-            grasp_force = BEARABLE * float((spare / np.abs(torques)).min())
-        if grasp_force <= 0.0:
+        fingertips = hand.fingertips(theta)
+
+        def torques(forces: Array) -> Array:
+            return joint_torques(*fingertips, points, forces)
+
+        pressing = torques(in_palm(contacts.rotations, optimal.forces, 1.0))
+        carrying = [torques(wrench_forces(points, wrench)) for wrench in np.eye(3, 6)]
+        # Of each joint per newton of load: by the k_f that it needs, and by itself, at the worst.
+        used = np.abs(pressing) / (friction - needed) + np.linalg.norm(carrying, axis=0)
+        load = float(((hand.effort_limits - np.abs(hand.gravity_torque(theta))) / used).min())
+        if load <= 0.0:
             return None, "the joints cannot carry the fingers"
-        pose, load = (x[-6:-3].copy(), x[-3:].copy()), grasp_force * (friction - needed)
-        return FoundGrasp(theta.copy(), *pose, contacts, needed, grasp_force, left, load), ""
+        pose = x[-6:-3].copy(), vector_from_rotation(turn)
+        found = theta.copy(), *pose, contacts, needed, load / (friction - needed), left, load
+        return FoundGrasp(*found), ""

@@ -199,7 +199,7 @@ def test_of_a_real_hand_has_no_object_and_nothing_judges_it(tmp_path: Path) -> N
     assert document["object"] is None and document["hand"] is None and document["assumptions"] == []
     assert document["passed"] is None and document["headline"] == ""
     assert np.isnan(values(document, "object_position")).all()
-    assert any("No scenario" in note for note in document["notes"])
+    assert any("The scenario is unknown" in note for note in document["notes"])
     labels = {tile["label"]: tile for tile in document["tiles"]}
     assert labels["slips"]["unit"] == "" and labels["recorded"]["note"] == "messages"
 

@@ -183,7 +183,7 @@ def test_run_without_scenario_is_refused(paper: tuple[Scenario, Record], tmp_pat
     """Nothing is guessed."""
     with RunWriter(tmp_path / "bag") as bag:
         write_tick(bag, paper[1], 0, START)
-    with pytest.raises(BagError, match="configuration of .* is needed"):
+    with pytest.raises(BagError, match="configuration of .* is unknown"):
         recompute(Run(tmp_path))
 
 
