@@ -44,7 +44,8 @@ class Rig:
         make = here.user.create_publisher
         self._senders = [make(JointState, names.JOINT_COMMAND, qos.tick_qos()) for _ in "ab"]
         here.wait(lambda: self.node.peers()["subscriptions /joint_command"] == 2, "commands")
-        here.wait(lambda: self.node.peers()["publications /joint_states"] == 1, "ticks")
+        for topic in ("joint_states", "joint_hold"):
+            here.wait(lambda t=topic: self.node.peers()[f"publications /{t}"] == 1, topic)
         here.wait(lambda: all(s.get_subscription_count() for s in self._senders), "the plant")
 
     def send(self, *ticks: int, sender: int = 0) -> None:
