@@ -287,8 +287,9 @@ class TickInputs:
             since, first = self._alone_since
             if min(now - since, stamp - first) < self._timeout:
                 return
-            oldest = next(iter(self._matcher.pending))  # the newest has no inputs yet
-            missing = ", ".join(self._matcher.missing(oldest))
+            # The oldest may lack less, if a node died while it sent, and the newest lacks all.
+            waiting = list(self._matcher.pending)
+            missing = ", ".join(self._matcher.missing(waiting[len(waiting) // 2]))
             self._reason = f"no {missing}; holding the hand until all inputs are back"
             self._node.diagnostics.fault("inputs", self._reason)
         self._answered_blindly = stamp

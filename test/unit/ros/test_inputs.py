@@ -229,6 +229,17 @@ def test_what_is_missing_is_named_also_where_the_trigger_comes_first(ear: Ear) -
     assert ear.fault == "no grasp_force; holding the hand until all inputs are back"
 
 
+def test_all_that_is_missing_is_named_where_a_node_died_while_it_sent(ear: Ear) -> None:
+    """Some inputs of the oldest tick have arrived; those that follow lack more."""
+    ear.joints(0)
+    ear.others(0, without=names.GRASP_FORCE)
+    for stamp in range(4, 508, 4):
+        ear.joints(stamp)
+        ear.now += 4 * MS
+    assert ear.fault.startswith("no ") and names.CONTACTS in ear.fault
+    assert names.GRASP_FORCE in ear.fault
+
+
 def test_no_tick_is_answered_after_one_that_was_answered_blindly(ear: Ear) -> None:
     """Late touch of that tick or an older one only ends the blindness."""
     at = ear.go_blind(2)
