@@ -201,10 +201,12 @@ class WaitSetExecutor(SingleThreadedExecutor):
 
     def _look_for_rare(self, rare: _WaitSet) -> None:
         """Serve services and clients, and the QoS events of one node per turn, when due."""
-        now, nodes = time.monotonic_ns(), self.get_nodes()
-        if now < self._rare_due or self._stale or not nodes:
+        now = time.monotonic_ns()
+        if now < self._rare_due or self._stale:
             return
-        self._rare_due = now + RARE_PERIOD_NS
+        self._rare_due, nodes = now + RARE_PERIOD_NS, self.get_nodes()
+        if not nodes:  # a callback has shut the executor down
+            return
         rare.wait(0)
         if not rare.ready("service") and not rare.ready("client"):
             if now < self._events_due:
