@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -44,7 +45,7 @@ def find_grasp(
     Raises:
         TactileHandError: If the edges or the hand cannot be used, or no grasp was found.
     """
-    if len(edges) not in (1, 3) or min(edges) <= 0.0:
+    if len(edges) not in (1, 3) or not all(0.0 < edge < math.inf for edge in edges):
         raise TactileHandError(
             f"the box has the edges {list(edges)}, expected one or three positive lengths in m, as "
             f"`tactile-hand grasp {hand} 0.05`"

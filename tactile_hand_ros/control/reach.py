@@ -92,7 +92,7 @@ def room(hand: Hand, theta: Array, contacts: Contacts) -> Array:
         contacts: Contacts; all must touch.
     """
     lower, upper = hand.position_limits
-    with np.errstate(invalid="ignore"):
+    with np.errstate(divide="ignore", invalid="ignore"):
         joints = 2.0 * np.minimum(theta - lower, upper - theta) / (upper - lower)
     rims = _rims(hand, theta, contacts.normals) / (0.5 * np.pi)
     return np.append(rims, np.where(np.isfinite(joints), joints, 1.0))

@@ -44,8 +44,8 @@ _TOP = np.cos(np.radians(60.0))  # of the angle between a contact and the top of
 _GAP = 0.002  # m between two fingertips
 _MIDDLE = 0.03  # weight of joint angles in the middle of their range
 _OUTSIDE = 0.9  # of the range of a joint, from which more is avoided
+_NO_SPAN = 1e-9  # rad or m, range of a joint that cannot move
 _TOUCH = 1e-4  # m; further away, a tip does not touch
-_WEIGHTS = (10.0, 1.0, 10.0)  # of (13), as in the scenarios
 
 
 @dataclass(frozen=True)
@@ -102,8 +102,9 @@ def search(
     relied = expected_friction(friction)
     random, found, reasons = np.random.default_rng(seed), list[FoundGrasp](), list[str]()
     for alone, axis in _choices(hand, size):
+        problem = _Problem(hand, size, alone, axis)
         for _ in range(STARTS):
-            grasp, reason = _Problem(hand, size, alone, axis).solve(random, relied)
+            grasp, reason = problem.solve(random, relied)
             reasons.append(reason)
             if grasp is not None:
                 found.append(grasp)
@@ -181,18 +182,17 @@ class _Problem:
         self._pairs = list(itertools.combinations(range(hand.fingers), 2))
         lower, upper = (np.clip(limit, -np.pi, np.pi) for limit in hand.position_limits)
         self._lower, self._upper = lower, upper
+        self._span = np.maximum(upper - lower, _NO_SPAN)
         self._scale = float(self._half.min())
 
     def solve(self, random: Any, friction: float) -> tuple[FoundGrasp | None, str]:
         """Return a grasp from a random posture, or why it is none."""
         optimize = optional("scipy.optimize", "Searching for a grasp")
-        theta = self._lower + random.uniform(0.2, 0.7, self._hand.joints) * (
-            self._upper - self._lower
-        )
+        theta = self._lower + random.uniform(0.2, 0.7, self._hand.joints) * self._span
         start = np.concatenate([theta, *self._placed(theta, random)])
         bounds = np.full(len(start), np.inf)
-        bounds[: len(theta)] = self._upper + 1e-9
-        below = np.concatenate([self._lower - 1e-9, np.full(6, -np.inf)])
+        bounds[: len(theta)] = self._upper + _NO_SPAN
+        below = np.concatenate([self._lower - _NO_SPAN, np.full(6, -np.inf)])
         x = optimize.least_squares(
             self._residuals, start, bounds=(below, bounds), max_nfev=60, x_scale="jac"
         ).x
@@ -231,7 +231,7 @@ class _Problem:
             hand.radii[i] + hand.radii[j] + _GAP - np.linalg.norm(tips[i] - tips[j])
             for i, j in self._pairs
         ]
-        middle = 2.0 * (theta - self._lower) / (self._upper - self._lower) - 1.0
+        middle = 2.0 * (theta - self._lower) / self._span - 1.0
         return np.concatenate(
             [
                 gaps / (0.01 * self._scale),
@@ -258,8 +258,7 @@ class _Problem:
         left = float(room(hand, theta, contacts).min())
         if left < LEAST_ROOM:
             return None, "a joint is near its end, or a contact near the rim of its fingertip"
-        config = ForceOptimizerConfig(weights=list(_WEIGHTS))
-        optimal = ForceOptimizer(config, hand.fingers).solve(contacts)
+        optimal = ForceOptimizer(ForceOptimizerConfig(), hand.fingers).solve(contacts)
         if not optimal.ok:
             return None, optimal.reason
         normal, sideways = optimal.forces[:, 1], np.hypot(*optimal.forces[:, [0, 2]].T)

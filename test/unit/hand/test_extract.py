@@ -39,7 +39,7 @@ def joint(name, parent, child, kind="revolute", inside=""):
 
 
 def test_a_hand_on_an_arm_is_the_hand_alone(tmp_path):
-    """Also of its joints' order, and with another hand beside it."""
+    """The order of its joints is the same, and another hand on the arm does not count."""
     alone = Hand.load(str(write_hand(tmp_path, [3, 4, 3])))
     arm = '<link name="world"/><link name="other"/>' + joint("elbow", "world", "palm")
     hand = changed(

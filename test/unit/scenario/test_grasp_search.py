@@ -46,6 +46,7 @@ def hand_file(tmp_path, joints, **more):
         ((3, 4, 3), (0.2, 0.2, 0.2), {}),
         ((4, 4, 4), (0.2, 0.2, 0.2), {"couplings": {"f1_joint_4": {"joint": "f1_joint_3"}}}),
         ((3, 3, 3, 3), (0.2, 0.2, 0.2), {}),
+        ((4, 3, 3), (0.2, 0.2, 0.2), {"limits": {"f1_joint_4": {"lower": 0.0, "upper": 0.0}}}),
     ],
 )
 def test_what_is_found_touches_one_face_and_the_opposite_and_can_bear_its_load(
@@ -110,6 +111,7 @@ def test_the_command_writes_a_scenario_that_can_run_and_a_picture(tmp_path, caps
     for words, message in (
         (["human"], "expected one or three positive lengths"),
         (["human", "0.04", "0.03"], "expected one or three positive lengths"),
+        (["human", "nan"], "expected one or three positive lengths"),
         (["human", "0.04", "--mass", "50"], "a box of 50 kg is too heavy: the best grasp carries"),
     ):
         assert main(["grasp", *words, "--out", str(tmp_path)]) == 2
