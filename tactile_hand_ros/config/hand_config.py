@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from importlib import metadata
 from pathlib import Path
 
 from pydantic import Field, model_validator
@@ -21,9 +22,13 @@ class FingerConfig(Config):
 
     name: str = param(..., "name of the finger in topics and frames", pattern=_NAME)
     tip: str = param(..., "link of the fingertip", min_length=1)
-    radius: float = param(..., "radius of the fingertip", unit="m", gt=0.0)
+    radius: float = param(
+        0.0, "radius of the fingertip, 0 to fit a sphere to the link's mesh", unit="m", ge=0.0
+    )
     center: tuple[float, float, float] = param(
-        (0.0, 0.0, 0.0), "center of the hemisphere in the frame of the link", unit="m"
+        (0.0, 0.0, 0.0),
+        "center of the hemisphere in the frame of the link, if not fitted",
+        unit="m",
     )
     axis: tuple[float, float, float] = param(
         (1.0, 0.0, 0.0), "direction of the hemisphere's top in the frame of the link"
@@ -55,14 +60,17 @@ class MountConfig(Config):
 
 
 class HandConfig(Config):
-    """A hand: any URDF with at least three fingers."""
+    """A hand: any URDF or MJCF with at least two fingers."""
 
-    urdf: str = param(..., "URDF file, relative to this file", min_length=1)
+    urdf: str = param(
+        ..., "URDF or MJCF file, relative to this file, or to a package", min_length=1
+    )
+    package: str = param("", "Python package from PyPI that brings the URDF; empty for none")
     palm: str = param(
         "palm", "link whose frame all positions refer to; what does not hang on it is left out"
     )
     fingers: list[FingerConfig] = param(
-        ..., "fingers in the order of all arrays", min_length=3, max_length=_MOST_FINGERS
+        ..., "fingers in the order of all arrays", min_length=2, max_length=_MOST_FINGERS
     )
     any_inertia: bool = param(
         False, "accept links with an inertia that no body has, as in the paper's Table I"
@@ -90,6 +98,27 @@ class HandConfig(Config):
                 f"({', '.join(self.layouts) or 'none'})"
             )
         return self
+
+    @property
+    def file(self) -> Path:
+        """Where the URDF lies.
+
+        Raises:
+            HandModelError: If its package is not installed or does not have it.
+        """
+        if not self.package:
+            return self.folder / self.urdf
+        try:
+            files = metadata.files(self.package) or []
+        except metadata.PackageNotFoundError:
+            raise HandModelError(
+                f"this hand comes with the package '{self.package}', which is not installed; run "
+                "`pip install tactile_hand_ros[hands]`"
+            ) from None
+        for file in files:
+            if file.match(self.urdf):
+                return Path(str(file.locate()))
+        raise HandModelError(f"the package '{self.package}' has no file '{self.urdf}'; correct it")
 
     @property
     def finger_names(self) -> list[str]:

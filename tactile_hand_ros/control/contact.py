@@ -20,7 +20,7 @@ Array = NDArray[np.float64]
 
 
 MIN_CONTACTS = 3
-"""Contacts needed to hold and turn an object (A7)."""
+"""Contacts needed to hold and turn an object (A7); a hand with two fingers holds with both."""
 
 OFF_TIP = 1.0 / 6.0
 """Fraction of its radius by which a fingertip may miss its contact: 10 degrees around the tip."""
@@ -67,7 +67,7 @@ class Contacts:
     @cached_property
     def enough_touching(self) -> bool:
         """Whether enough fingers touch to hold an object without the others (A7)."""
-        return bool(self.touching.sum() >= MIN_CONTACTS)
+        return bool(self.touching.sum() >= min(MIN_CONTACTS, len(self.positions)))
 
     def part(self, chosen: NDArray[np.bool_]) -> Contacts:
         """Return the contacts of some fingers.

@@ -10,17 +10,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_hand_ros.compiled import compiled
-from tactile_hand_ros.control.contact import centroid
+from tactile_hand_ros.control.contact import centroid, face_frame
 from tactile_hand_ros.errors import CollinearContactsError, GraspError
 from tactile_hand_ros.rotations import cross
 
 Array = NDArray[np.float64]
 
-# Below this, contacts count as lying on a line, and the rotation about it is lost (A7).
+# Below this, contacts count as lying on a line, and the rotation about it is lost (A7). The two
+# contacts of a gripper never control it, and count as spread.
 MIN_COLLINEARITY_MARGIN = 1e-3
 
 _OTHER_SIDE = np.array([1.0, -1.0, -1.0])  # flips r_y and r_z
 _CLEAR_MARGIN = 0.1  # collinearity margin above which three points make a good frame
+_LOOSE = 1e-9  # of the scatter, so that the turn about the line of two contacts is finite
 
 
 @compiled
@@ -106,8 +108,10 @@ def spread_wrench(points: Array, wrench: Array) -> tuple[Array, float]:
         wrench: Force and torque about the contact centroid, shape (6,), N and N m.
     """
     arms = centered(points)
-    k, margin = len(points), _margin(arms)
-    x, y, z = _solve_spread(arms.T @ arms, wrench[3:])
+    k, margin, scatter = len(points), _margin(arms), arms.T @ arms
+    if k == 2:
+        scatter += _LOOSE * np.trace(scatter) * np.eye(3)
+    x, y, z = _solve_spread(scatter, wrench[3:])
     out = np.empty((k, 3))
     for i in range(k):
         a, b, c = arms[i]
@@ -148,7 +152,8 @@ def centered(points: Array) -> Array:
 def collinearity_margin(points: Array) -> float:
     """Return the margin of assumption A7: 0 for contacts on a line, 1 for an even spread.
 
-    It is the ratio of the second to the first singular value of p_c,i - centroid.
+    It is the ratio of the second to the first singular value of p_c,i - centroid, and 1 for two
+    contacts, which no third one has to complete.
 
     Args:
         points: Contact points p_c, shape (k, 3), m.
@@ -158,6 +163,8 @@ def collinearity_margin(points: Array) -> float:
 
 @compiled
 def _margin(arms: Array) -> float:
+    if len(arms) == 2:
+        return 1.0
     if len(arms) == 3:
         # l1 l2 of the scatter is three times the squared cross product of two arms, and l1 + l2 is
         # the sum of the squared arms.
@@ -172,19 +179,22 @@ def _margin(arms: Array) -> float:
 
 
 def joint_margin(hand_jacobian: Array) -> float:
-    """Return the smallest singular value of J_h, the margin of assumption A5, in m/rad.
+    """Return the margin of assumption A5: the smallest singular value of J_h, in m/rad.
+
+    Directions in which a finger cannot move, for want of joints, do not count.
 
     Args:
         hand_jacobian: Shape (3k, m) or (k, 3, m).
     """
-    stacked = hand_jacobian.reshape(-1, hand_jacobian.shape[-1])
-    if stacked.shape[1] < stacked.shape[0]:
-        return 0.0
-    return float(np.linalg.svd(stacked, compute_uv=False)[-1])
+    joints = hand_jacobian.shape[-1]
+    stacked = hand_jacobian.reshape(-1, joints)
+    moved = stacked.reshape(-1, 3, joints).any(axis=1)
+    rank = min(np.minimum(moved.sum(axis=1), 3).sum(), moved.any(axis=0).sum())
+    return float(np.linalg.svd(stacked, compute_uv=False)[rank - 1]) if rank else 0.0
 
 
 def check_joints(hand_jacobian: Array, minimum: float = 1e-3) -> None:
-    """Check assumption A5: J_h has full row rank.
+    """Check assumption A5: J_h has full row rank, as far as the number of joints allows.
 
     Args:
         hand_jacobian: J_h, shape (3k, m) or (k, 3, m).
@@ -199,29 +209,21 @@ def check_joints(hand_jacobian: Array, minimum: float = 1e-3) -> None:
         raise GraspError(
             f"the hand is singular (A5): the smallest singular value of J_h ({rows} x "
             f"{hand_jacobian.shape[-1]}) is {margin:.2g} m/rad, at least {minimum:.2g} is needed; "
-            "bend the fingers or use more joints"
+            "bend the fingers"
         )
 
 
 def check_spread(points: Array) -> None:
-    """Check assumption A7: at least three contacts that are not on one line.
+    """Check assumption A7: contacts that are not on one line, or the two of a gripper.
 
     Args:
         points: Contact points, shape (k, 3), m.
 
     Raises:
         CollinearContactsError: If they are.
-        GraspError: If there are fewer than three.
     """
-    if len(points) < 3:
-        raise too_few(points)
     if collinearity_margin(points) < MIN_COLLINEARITY_MARGIN:
         raise CollinearContactsError.of(points)
-
-
-def too_few(points: Array) -> GraspError:
-    """Return the error for fewer than three contact points, shape (k, 3), m."""
-    return GraspError(f"{len(points)} contacts, but a grasp needs at least three (A7)")
 
 
 def required_friction(forces: Array) -> Array:
@@ -247,13 +249,15 @@ class VirtualFrame:
     r_y = r_z x r_x. At the start r_z is on the side of palm +z; it then keeps its side, so that a
     grasp can turn upside down. For more contacts the frame of the first three at the start (or of
     the three farthest from a line) turns with the best rotation of all contacts (Kabsch 1976).
+    For two contacts r_z turns with r_x alone, since they do not show a turn about their line.
 
-    Source: Shaw-Cortez et al., section III; our generalization for k > 3.
+    Source: Shaw-Cortez et al., section III; our generalization for k > 3 and k = 2.
     """
 
     def __init__(self) -> None:
         """Start without a grasp."""
         self._side = 0.0
+        self._up = np.array([0.0, 0.0, 1.0])  # the last r_z of two contacts
         self._start: tuple[Array, Array] | None = None
 
     def reset(self) -> None:
@@ -267,10 +271,11 @@ class VirtualFrame:
             points: Contact points in the palm frame, shape (k, 3), m.
 
         Raises:
-            CollinearContactsError: If the contacts lie on a line.
-            GraspError: If there are fewer than three.
+            CollinearContactsError: If three contacts or more lie on a line.
         """
-        if len(points) <= 3:
+        if len(points) == 2:
+            return self._line_frame(points)
+        if len(points) == 3:
             return self._plane_frame(points)
         check_spread(points)
         arms = centered(points)
@@ -278,9 +283,14 @@ class VirtualFrame:
             self._start = arms, self._plane_frame(_leading(points))
         return turned_frame(*self._start, arms)
 
+    def _line_frame(self, points: Array) -> Array:
+        along = points[0] - points[1]
+        along = along / np.linalg.norm(along)
+        frame = face_frame(along, self._up, np.array([1.0, 0.0, 0.0]))
+        self._up = frame[:, 2].copy()
+        return np.column_stack([along, -frame[:, 0], self._up])
+
     def _plane_frame(self, points: Array) -> Array:
-        if len(points) < 3:
-            raise too_few(points)
         frame, margin = _frame_of_plane(points)
         if margin < MIN_COLLINEARITY_MARGIN:
             raise CollinearContactsError.of(points)

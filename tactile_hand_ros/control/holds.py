@@ -45,6 +45,7 @@ _MAX_OFFSET, _MAX_RATE = np.pi, 1e3  # rad and rad/s; keep the torque finite
 _WINDOW = 64  # number of angles; at rest their slope is one angle error over all of them
 _ROUNDING = 0.01  # of the error, so that angles one step apart count as a line
 _STEP = 1e-5  # of finite differences, rad
+_INDEPENDENT = 1e-9  # of the largest singular value; smaller ones are rounding
 
 
 class JointRates:
@@ -263,7 +264,7 @@ def fitted_gains(
     motions = motions @ _kernel(redundant.T @ inertia @ joints)
     rates = _rates_of_twists(motions)
     momenta = inertia @ rates
-    damping = momenta @ np.linalg.solve(rates.T @ momenta, momenta.T)
+    damping = momenta @ np.linalg.pinv(rates.T @ momenta, rcond=_INDEPENDENT) @ momenta.T
     stiffness = np.zeros((6, 6))
     for part, per_error in ((slice(0, 3), 1.0), (slice(3, 6), 0.5)):  # |r_d| is twice the angle
         moved = rates[:, part]
@@ -318,24 +319,35 @@ def largest_stiffness(
 
 def _rates_of_twists(motions: Array) -> Array:
     """Return the joint rates of unit twists in motions of joints and object, shape (m, 6)."""
-    return np.asarray(motions[:-6] @ np.linalg.pinv(motions[-6:]))
+    return np.asarray(motions[:-6] @ np.linalg.pinv(motions[-6:], rcond=_INDEPENDENT))
 
 
 def _motions(hand: Hand, tips: Fingertips, contacts: Contacts) -> Array:
-    """Return joint rates above twists of the object that keep the contacts, shape (m + 6, n)."""
+    """Return joint rates above twists of the object that keep the contacts, shape (m + 6, n).
+
+    Motions of the object alone, as about the line of two contacts, are left out.
+    """
     k, axes = hand.fingers, np.tile(np.eye(3), (hand.fingers, 1, 1))
     jacobian = hand_jacobian(tips, contacts.positions, axes).reshape(3 * k, hand.joints)
-    return _kernel(np.hstack([jacobian, -grasp_map(centered(contacts.positions), axes).T]))
+    motions = _kernel(np.hstack([jacobian, -grasp_map(centered(contacts.positions), axes).T]))
+    idle = _kernel(motions[: hand.joints])
+    return motions @ _kernel(idle.T) if idle.size else motions
 
 
 def _kernel(matrix: Array) -> Array:
     """Return an orthonormal basis of the kernel of a matrix, one vector per column."""
     _, sizes, basis = np.linalg.svd(matrix)
-    return np.asarray(basis[int((sizes > 1e-9 * sizes.max(initial=0.0)).sum()) :].T)
+    rank = int((sizes > _INDEPENDENT * sizes.max(initial=0.0)).sum())
+    return np.asarray(basis[rank:].T)
 
 
 def _minimum_ratio(a: Array, b: Array) -> float:
-    """Return the minimum of x^T a x / x^T b x, both symmetric and b positive, shape (n, n)."""
+    """Return the minimum of x^T a x / x^T b x, both symmetric and b positive, shape (n, n).
+
+    It is infinite where there is nothing to move, n = 0.
+    """
+    if not len(b):
+        return math.inf
     root = np.linalg.cholesky(b)
     return float(np.linalg.eigvalsh(np.linalg.solve(root, np.linalg.solve(root, a).T))[0])
 

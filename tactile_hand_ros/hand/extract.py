@@ -55,6 +55,18 @@ def cut_at_palm(root: Element, palm: str, name: str) -> None:
             root.remove(joint)
 
 
+def moved_links(root: Element) -> set[str]:
+    """Return the links of a URDF that some joint moves."""
+    moved: set[str] = set()
+    ends = [(*_ends(joint), joint.get("type") != "fixed") for joint in root.findall("joint")]
+    for _ in ends:  # at most as deep as there are joints
+        more = {child for parent, child, moves in ends if moves or parent in moved}
+        if more <= moved:
+            break
+        moved |= more
+    return moved
+
+
 def take_hand(root: Element, config: HandConfig, name: str) -> dict[str, Coupling]:
     """Leave only the joints of the hand movable, and return couplings by the joint that follows.
 

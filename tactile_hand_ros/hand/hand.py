@@ -19,6 +19,7 @@ from tactile_hand_ros.config.hand_config import (
     load_hand_config,
 )
 from tactile_hand_ros.errors import HandModelError
+from tactile_hand_ros.hand.tip_fit import fitted_tips
 from tactile_hand_ros.hand.urdf import describe
 
 Array = NDArray[np.float64]
@@ -118,6 +119,7 @@ class Hand:
         joint_names: Names of the m driven joints, in the order of every joint array.
         couplings: Those of the other joints, by their names.
         radii: Fingertip radii r, shape (k,), m.
+        tip_errors: Errors of spheres fitted to meshes, shape (k,), m; 0 for given radii.
         description: URDF text of the hand in the chosen layout.
         effort_limits: Largest torque of each joint, shape (m,), N m; infinite where unset.
         velocity_limits: Largest speed of each joint, shape (m,), rad/s; infinite where unset.
@@ -153,7 +155,8 @@ class Hand:
         self._model = _model(self.description, config)
         if link_lengths != 1.0:
             _stretch(self._model, link_lengths)
-        self._tips = [_tip_frame(self._model, finger) for finger in config.fingers]
+        fingers, self.tip_errors = fitted_tips(config, self.description)
+        self._tips = [_tip_frame(self._model, finger) for finger in fingers]
         self._data = self._model.createData()
         names = list(self._model.names[1:])
         driven = [name for name in names if name not in self.couplings]
@@ -168,7 +171,7 @@ class Hand:
         self.fingers = len(self._tips)
         self.joints = len(driven)
         self.finger_names = config.finger_names
-        self.radii = tip_radii * np.array(config.radii)
+        self.radii = tip_radii * np.array([finger.radius for finger in fingers])
         self.joint_names = driven
         self._set_limits()
         self.bases, self.spans = _reaches(self._model, self._tips)
@@ -477,7 +480,8 @@ def _check_inertia(model: pin.Model, coupling: Array, urdf: str) -> None:
             f"joint '{light[0]}' of '{urdf}' moves no mass; give the links behind it an <inertial> "
             "with mass and inertia"
         )
-    smallest, *_, largest = np.linalg.eigvalsh(inertia)
+    eigenvalues = np.linalg.eigvalsh(inertia)
+    smallest, largest = eigenvalues[0], eigenvalues[-1]
     if not smallest > 1e-12 * largest:
         raise HandModelError(
             f"the joints of '{urdf}' have an inertia matrix with the eigenvalue {smallest:.3g}, "

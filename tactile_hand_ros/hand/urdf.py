@@ -13,7 +13,8 @@ import numpy as np
 from tactile_hand_ros.config.hand_config import Coupling, HandConfig, MountConfig
 from tactile_hand_ros.config.plain_yaml import read_text
 from tactile_hand_ros.errors import ConfigurationError, HandModelError
-from tactile_hand_ros.hand.extract import cut_at_palm, take_hand
+from tactile_hand_ros.hand.extract import cut_at_palm, moved_links, take_hand
+from tactile_hand_ros.hand.mjcf import urdf_of_mjcf
 
 _GRAVITY = 9.81  # m/s^2
 _MAX_LINKS = 500
@@ -41,7 +42,7 @@ def describe(config: HandConfig, layout: str = "") -> tuple[str, dict[str, Coupl
     Raises:
         HandModelError: If the file is not the URDF of a hand, or lacks a link or joint.
     """
-    path = config.folder / config.urdf
+    path = config.file
     root = read_urdf(path, config.palm, any_inertia=config.any_inertia)
     couplings = take_hand(root, config, path.name)
     _move(root, config.layout(layout), path.name)
@@ -95,6 +96,8 @@ def _parsed(path: Path) -> Element:
         if "<!DOCTYPE" in text:  # a few entities can stand for gigabytes
             raise HandModelError(f"'{path}' declares a DOCTYPE; expected a URDF, which has none")
         root = ElementTree.fromstring(text)
+        if root.tag == "mujoco":
+            return urdf_of_mjcf(path)
     except ConfigurationError as error:
         raise HandModelError(
             f"cannot use the hand's URDF {str(error).rstrip('.')}; correct 'urdf' in its YAML"
@@ -120,9 +123,11 @@ def _check_numbers(root: Element, name: str, any_inertia: bool) -> None:
             if joint.get("type") in _LIMITED and attribute == "effort" and value <= 0.0:
                 found, expected = f"{tag} effort is {value:g}", "a torque or force above 0"
                 raise _wrong(joint, name, found, expected)
+    moved = moved_links(root)
     for link in root.findall("link"):
+        massless = 0.0 if link.get("name") in moved else -1e-9  # frames on the palm may have none
         for tag, attribute, value in _numbers(link, _OF_LINKS, name):
-            if attribute == "value" and value <= 0.0:
+            if attribute == "value" and value <= massless:
                 advice = "correct it, or remove <inertial> from a link without mass"
                 raise _wrong(link, name, f"{tag} is {value:g}", "a mass above 0 kg", advice)
         if link.find("inertial/inertia") is not None:

@@ -61,14 +61,14 @@ class TactileSensorNode(TactileNode[TactileSensorConfig]):
             streams.true_sliding(fingers),
             streams.true_forces(fingers),
         )
-        known = None
-        if not self.config.calibration.is_right:
-            # Only a miscalibrated skin needs the hand model, which is slow to load.
+        known, radii = None, np.array(hand.radii)
+        if not (self.config.calibration.is_right and radii.all()):
+            # Only a miscalibrated skin or fitted tips need the hand model, which is slow to load.
             from tactile_hand_ros.hand.hand import Hand
 
             known = Hand.load(self.config.hand, self.config.layout)
-            declared += (streams.joints(known.joint_names),)
-        self._sensor = TactileSensor(self.config, np.array(hand.radii), known)
+            declared, radii = (*declared, streams.joints(known.joint_names)), known.radii
+        self._sensor = TactileSensor(self.config, radii, known)
         self._rehearse(len(fingers))
         self._publisher = ReadingPublisher(self, fingers, names.CONTACTS, names.wrench)
         if not composed:

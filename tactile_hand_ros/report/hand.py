@@ -15,7 +15,7 @@ from tactile_hand_ros.report.style import save
 Array = NDArray[np.float64]
 
 JOINT_COLUMNS = ("joint", "moves", "range, rad", "torque, N m", "speed, rad/s", "also moves")
-FINGER_COLUMNS = ("finger", "joints", "radius, mm", "reach, mm", "force, N")
+FINGER_COLUMNS = ("finger", "joints", "radius, mm", "fitted to, mm", "reach, mm", "force, N")
 
 _CLOSED = 0.4  # of the range of each joint, where the hand is drawn and its strength computed
 
@@ -52,10 +52,18 @@ def finger_rows(hand: Hand) -> list[list[str]]:
     levers = np.linalg.norm(hand.fingertips(example_posture(hand)).linear, axis=1)
     with np.errstate(divide="ignore"):
         strengths = np.where(levers > 0.0, hand.effort_limits / levers, np.inf).min(axis=1)
-    numbers = zip(hand.moves.sum(axis=1), hand.radii, hand.spans, strengths, strict=True)
+    lengths = 1e3 * np.stack([hand.radii, hand.tip_errors, hand.spans], axis=1)
+    rows = zip(hand.finger_names, hand.moves.sum(axis=1), lengths, strengths, strict=True)
     return [
-        [name, str(joints), f"{1e3 * radius:.3g}", f"{1e3 * span:.0f}", f"{strength:.2g}"]
-        for name, (joints, radius, span, strength) in zip(hand.finger_names, numbers, strict=True)
+        [
+            name,
+            str(joints),
+            f"{radius:.3g}",
+            f"{error:.2g}" if error else "",
+            f"{span:.0f}",
+            f"{n:.2g}",
+        ]
+        for name, joints, (radius, error, span), n in rows
     ]
 
 

@@ -13,7 +13,7 @@ from tactile_hand_ros.control.laws import LAWS, AuxiliaryPose, LawConfig, LawInp
 from tactile_hand_ros.control.optimizer.force_optimizer import ForceOptimizer
 from tactile_hand_ros.control.reach import check_reach
 from tactile_hand_ros.errors import ConfigurationError, GraspError, TactileHandError
-from tactile_hand_ros.hand.hand import Fingertips, Hand
+from tactile_hand_ros.hand.hand import Hand
 from tactile_hand_ros.scenario.scenario import Scenario
 from tactile_hand_ros.simulation.plant import Plant
 
@@ -45,7 +45,6 @@ def check_scenario(scenario: Scenario) -> None:
     hand, contacts = hand.part(contacts.touching), contacts.part(contacts.touching)
     check_spread(contacts.positions)
     tips = hand.fingertips(state.theta)
-    _check_fingers(hand, tips)
     check_joints(hand_jacobian(tips, contacts.positions, contacts.rotations))
     optimal = ForceOptimizer(scenario.force_optimizer, hand.fingers).solve(contacts)
     if not optimal.ok:
@@ -73,18 +72,6 @@ def check_scenario(scenario: Scenario) -> None:
     if law.name not in LAWS:
         grasp_force = scenario.slip_regulator.grasp_force
         check_own_law(law, hand, LawInput(tips, contacts, optimal.forces, grasp_force))
-
-
-def _check_fingers(hand: Hand, tips: Fingertips) -> None:
-    """Reject fingers that cannot move their contacts in all directions in any posture."""
-    counts = tips.linear.any(axis=1).sum(axis=1)
-    i = int(counts.argmin())
-    if counts[i] < 3:
-        raise GraspError(
-            f"{hand.finger_names[i]} has {counts[i]} joints, so that its tip does not move in all "
-            "directions (A5); every finger that touches needs three or more, such as two that bend "
-            "it and one that spreads it"
-        )
 
 
 def _check_posture(hand: Hand, theta: NDArray[np.float64]) -> None:

@@ -39,6 +39,7 @@ Array = NDArray[np.float64]
 
 _RELAXED = 0.75  # fraction of the grasp force at which f* must hold, so that k_f can fall
 _MAX_RESIDUAL = 1e-6  # a larger one means no solution
+_UNBALANCED = "no pushing forces at these contacts balance; place a finger on an opposing face"
 _MAX_CONE_RESIDUAL = 1e-4  # with a larger one, f* without cones is safer
 
 
@@ -210,7 +211,7 @@ class ForceOptimizer:
         """
         if contacts.enough_touching and not contacts.all_touching:
             return self._without_the_others(stamp, contacts, carried, grasp_force)
-        if not self.config.cones or carried is None:
+        if not self.config.cones or carried is None or self._k == 2:
             return self.solve(contacts)
         # The pyramids turn with the grasp, so that f* does not depend on its pose in the palm.
         frames = contacts.rotations
@@ -273,11 +274,13 @@ class ForceOptimizer:
         """
         if not contacts.all_touching:
             missing = ", ".join(str(i + 1) for i in np.flatnonzero(~contacts.touching))
-            needed = "all" if self._k == MIN_CONTACTS else "at least three"
+            needed = "all" if self._k <= MIN_CONTACTS else "at least three"
             return self._without_answer(
                 Status.CONTACT_MISSING, f"no contact at finger {missing}; {needed} must touch (A7)"
             )
         points, rotations = contacts.positions, contacts.rotations
+        if self._k == 2:
+            return self._opposed(points, rotations)
         problem, balance, margin = _balance_problem(self._fixed, points, rotations)
         if margin < MIN_COLLINEARITY_MARGIN:
             return self._without_answer(
@@ -300,6 +303,15 @@ class ForceOptimizer:
             inside = cones.margin(forces)
         how = found.iterations, found.solve_time
         return OptimalForces(Status.SOLVED, "", forces, residual, *how, inside, shaped)
+
+    def _opposed(self, points: Array, rotations: Array) -> OptimalForces:
+        """Return f* of two contacts, which can only press along the line between them."""
+        along = points[1] - points[0]
+        forces = np.stack([along, -along])
+        forces = np.einsum("kji,kj->ki", rotations, forces / np.linalg.norm(along))
+        if not (forces[:, 1] > 0.0).all():
+            return self._without_answer(Status.UNBALANCED, _UNBALANCED)
+        return OptimalForces(Status.SOLVED, "", forces / forces[:, 1].sum(), 0.0)
 
     def _inside(
         self, forces: Array, residual: float, balance: Array, cones: Cones
@@ -342,10 +354,7 @@ class ForceOptimizer:
 
     def _unsolved(self, best: Solution) -> OptimalForces:
         if best.is_infeasible:
-            return self._without_answer(
-                Status.UNBALANCED,
-                "no pushing forces at these contacts balance; place a finger on an opposing face",
-            )
+            return self._without_answer(Status.UNBALANCED, _UNBALANCED)
         return self._without_answer(
             Status.FAILED,
             f"OSQP ended with '{best.osqp_status}' after {best.iterations} iterations, and the "

@@ -5,7 +5,6 @@ import numpy as np
 import pytest
 from support.hands import posture_for, write_hand
 
-from tactile_hand_ros.closed_loop.loop import ClosedLoop
 from tactile_hand_ros.errors import (
     CollinearContactsError,
     ConfigurationError,
@@ -97,29 +96,6 @@ def test_fingers_on_a_line_are_refused(tmp_path):
     row = [[-0.12, 0.08, 0.3], [-0.12, 0.0, 0.3], [-0.12, -0.08, 0.3]]
     with pytest.raises(CollinearContactsError, match=r"lie on one line \(A7\)"):
         check(**touching(tmp_path, row, **box))
-
-
-def test_a_hand_with_too_few_joints_is_refused(tmp_path):
-    """Eight joints cannot move nine coordinates of contact points."""
-    path = write_hand(tmp_path, [2, 3, 3])
-    theta = np.array([1.0, 1.5, 1.047, 0.0, 1.571, 1.047, 0.0, 1.571])
-    tips = Hand.load(str(path)).fingertips(theta).positions
-    inward = tips.mean(axis=0) - tips
-    corners = tips + 0.02 * inward / np.linalg.norm(inward, axis=1)[:, None]
-    upright = np.vstack([corners + [0.0, 0.0, 0.05], corners - [0.0, 0.0, 0.05]])
-    centre = corners.mean(axis=0)
-    changes = {
-        "hand": str(path),
-        "layout": "",
-        "plant.initial_joints": theta.tolist(),
-        "plant.object.vertices": (upright - centre).ravel().tolist(),
-        "plant.object.position": centre.tolist(),
-        "targets": [],
-    }
-    message = r"f1 has 2 joints.*\(A5\); every finger that touches needs three or more"
-    for check in (check_scenario, ClosedLoop):
-        with pytest.raises(GraspError, match=message):
-            check(load_scenario("paper", changes))
 
 
 OWN = """

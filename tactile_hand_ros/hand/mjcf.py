@@ -1,0 +1,140 @@
+# SPDX-License-Identifier: Apache-2.0
+"""An MJCF file as a URDF, read by MuJoCo, so that hands of both formats are built in one way."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+from xml.etree.ElementTree import Element, SubElement
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from tactile_hand_ros.errors import HandModelError
+from tactile_hand_ros.extras import optional
+
+Array = NDArray[np.float64]
+
+_FREE, _SLIDE, _HINGE = 0, 2, 3  # of mjtJoint
+_ENDLESS = 1e3  # N m or N, effort of a joint without an actuator that has a limit
+_FASTEST = 1e2  # rad/s or m/s; MJCF has no limits of speed
+
+
+def urdf_of_mjcf(path: Path) -> Element:
+    """Return the links and joints of an MJCF file as a URDF.
+
+    Bodies become links. A body with several joints gets a link without mass between two of them.
+    Efforts are those of the actuators. Rotor inertia, damping, friction and tendons are left out.
+
+    Args:
+        path: The file.
+
+    Raises:
+        HandModelError: If MuJoCo cannot read it, or a joint is a ball.
+    """
+    mujoco = optional("mujoco", "Reading an MJCF file")
+    try:
+        model = mujoco.MjModel.from_xml_path(str(path))
+    except ValueError as error:
+        raise HandModelError(f"MuJoCo cannot read '{path}': {error}; correct the file") from None
+    root = Element("robot", name=path.stem)
+    efforts = _efforts(model)
+    for body in range(model.nbody):
+        _add_link(root, model, body)
+        if body:
+            _add_joints(root, model, body, efforts)
+    return root
+
+
+def _efforts(model: Any) -> Array:
+    """Return the largest torque or force of each joint, from its actuators."""
+    out = np.zeros(model.njnt)
+    for i in range(model.nu):
+        joint = model.actuator_trnid[i, 0]
+        if model.actuator_trntype[i] == 0 and model.actuator_forcelimited[i]:
+            gear = abs(model.actuator_gear[i, 0])
+            out[joint] += gear * np.abs(model.actuator_forcerange[i]).max()
+    return np.where(out > 0.0, out, _ENDLESS)
+
+
+def _add_link(root: Element, model: Any, body: int) -> None:
+    link = SubElement(root, "link", name=model.body(body).name)
+    if model.body_mass[body] <= 0.0:
+        return
+    inertial = SubElement(link, "inertial")
+    _add_origin(inertial, model.body_ipos[body], model.body_iquat[body])
+    SubElement(inertial, "mass", value=repr(float(model.body_mass[body])))
+    moments = zip(("ixx", "iyy", "izz"), model.body_inertia[body].tolist(), strict=True)
+    values = {key: repr(value) for key, value in moments}
+    SubElement(inertial, "inertia", values, ixy="0", ixz="0", iyz="0")
+
+
+def _add_joints(root: Element, model: Any, body: int, efforts: Array) -> None:
+    """Connect a body to its parent by its joints in their order."""
+    name, parent = model.body(body).name, model.body(model.body_parentid[body]).name
+    place, turn, before = model.body_pos[body], model.body_quat[body], np.zeros(3)
+    first, count = model.body_jntadr[body], model.body_jntnum[body]
+    if count == 0:
+        _add_joint(root, f"{name}_mount", "fixed", parent, name, place, turn)
+    for joint in range(first, first + count):
+        label, kind = model.joint(joint).name, model.jnt_type[joint]
+        if kind == _FREE:  # an object beside the hand, or the whole hand: cut off at the palm
+            _add_joint(root, label or f"{name}_free", "floating", parent, name, place, turn)
+            return
+        if kind not in (_HINGE, _SLIDE):
+            raise HandModelError(
+                f"joint '{label}' of the MJCF is a ball; expected hinges and slides: replace it by "
+                "three hinges"
+            )
+        is_last, at = joint == first + count - 1, model.jnt_pos[joint]
+        # The link between two joints has its origin on the axis of the first.
+        child = name if is_last and not at.any() else f"{label}_link"
+        limited = "revolute" if model.jnt_limited[joint] else "continuous"
+        element = _add_joint(
+            root,
+            label,
+            "prismatic" if kind == _SLIDE else limited,
+            parent,
+            child,
+            place + _turned(turn, at - before),
+            turn,
+        )
+        if child != name:
+            SubElement(root, "link", name=child)
+        SubElement(element, "axis", xyz=_text(model.jnt_axis[joint]))
+        lower, upper = model.jnt_range[joint].tolist()
+        limits = {"lower": lower, "upper": upper, "effort": efforts[joint], "velocity": _FASTEST}
+        SubElement(element, "limit", {key: repr(float(value)) for key, value in limits.items()})
+        parent, place, turn, before = child, np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]), at
+    if count and parent != name:
+        _add_joint(root, f"{name}_mount", "fixed", parent, name, -before, turn)
+
+
+def _add_joint(
+    root: Element, name: str, kind: str, parent: str, child: str, place: Array, turn: Array
+) -> Element:
+    joint = SubElement(root, "joint", name=name, type=kind)
+    SubElement(joint, "parent", link=parent)
+    SubElement(joint, "child", link=child)
+    _add_origin(joint, place, turn)
+    return joint
+
+
+def _add_origin(element: Element, place: Array, turn: Array) -> None:
+    angles = pin.rpy.matrixToRpy(_matrix(turn))
+    SubElement(element, "origin", xyz=_text(place), rpy=_text(angles))
+
+
+def _matrix(turn: Array) -> Array:
+    """Return the rotation of a quaternion (w, x, y, z) of MuJoCo."""
+    w, x, y, z = turn
+    return np.asarray(pin.Quaternion(w, x, y, z).normalized().matrix())
+
+
+def _turned(turn: Array, vector: Array) -> Array:
+    return np.asarray(_matrix(turn) @ vector)
+
+
+def _text(vector: Array) -> str:
+    return " ".join(map(repr, np.asarray(vector).tolist()))

@@ -1,0 +1,121 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Spheres in place of fingertips, fitted to the end of the tip link's mesh."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import NamedTuple
+from xml.etree import ElementTree
+from xml.etree.ElementTree import Element
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from tactile_hand_ros.config.hand_config import FingerConfig, HandConfig
+from tactile_hand_ros.errors import HandModelError
+from tactile_hand_ros.extras import optional
+
+Array = NDArray[np.float64]
+
+_END = 0.25  # of the extent along the axis, where the fit starts
+_ROUNDS = 10  # of fitting and choosing points again
+_BEYOND = 1.5  # radii from the center, within which points count
+_SAMPLES = 20_000
+
+
+class Fit(NamedTuple):
+    """A sphere fitted to a fingertip.
+
+    Attributes:
+        center: In the frame of the tip link, m.
+        radius: In m.
+        error: Root mean square distance of the mesh from the sphere, m.
+    """
+
+    center: tuple[float, float, float]
+    radius: float
+    error: float
+
+
+def fitted_tips(config: HandConfig, description: str) -> tuple[list[FingerConfig], Array]:
+    """Return the fingers with spheres in place of tips without a radius, and the errors, (k,), m.
+
+    Args:
+        config: The hand.
+        description: Its URDF with meshes.
+
+    Raises:
+        HandModelError: If a tip has neither radius nor mesh.
+    """
+    fingers, errors = list(config.fingers), np.zeros(len(config.fingers))
+    for i, finger in enumerate(fingers):
+        if finger.radius == 0.0:
+            points = _points(ElementTree.fromstring(description), finger, config.file)
+            fit = fit_tip(points, np.array(finger.axis))
+            update = {"center": fit.center, "radius": fit.radius}
+            fingers[i], errors[i] = finger.model_copy(update=update), fit.error
+    return fingers, errors
+
+
+def fit_tip(points: Array, axis: Array) -> Fit:
+    """Fit a sphere to the end of a surface.
+
+    The points on the far side of the sphere's own middle, along the axis, are chosen again after
+    each least-squares fit.
+
+    Args:
+        points: On the surface, shape (n, 3), m.
+        axis: From the middle of the link to its end, shape (3,).
+    """
+    heights = points @ (axis / np.linalg.norm(axis))
+    chosen = heights > heights.max() - _END * np.ptp(heights)
+    center, radius, away = np.zeros(3), 0.0, np.zeros(0)
+    for _ in range(_ROUNDS):
+        near = points[chosen]
+        # |p|^2 = 2 p.c + (r^2 - |c|^2) is linear in the center c and in the rest.
+        system = np.column_stack([2.0 * near, np.ones(len(near))])
+        found = np.linalg.lstsq(system, (near**2).sum(axis=1), rcond=None)[0]
+        center, radius = found[:3], float(np.sqrt(found[3] + found[:3] @ found[:3]))
+        away = np.linalg.norm(near - center, axis=1) - radius
+        apart = points - center
+        chosen = (apart @ axis > 0.0) & (np.linalg.norm(apart, axis=1) < _BEYOND * radius)
+    x, y, z = center.tolist()
+    return Fit((x, y, z), radius, float(np.sqrt((away**2).mean())))
+
+
+def _points(root: Element, finger: FingerConfig, file: Path) -> Array:
+    """Return points on the mesh of a tip link in its frame, shape (n, 3), m."""
+    links = {link.get("name"): link for link in root.findall("link")}
+    link = links.get(finger.tip)
+    shapes = [] if link is None else [*link.findall("visual"), *link.findall("collision")]
+    for shape in shapes:
+        mesh, origin = shape.find("geometry/mesh"), shape.find("origin")
+        if mesh is None:
+            continue
+        trimesh = optional("trimesh", "Fitting a fingertip")
+        body = trimesh.load(_mesh_file(str(mesh.get("filename")), file), force="mesh")
+        points, _ = trimesh.sample.sample_surface(body, _SAMPLES, seed=0)
+        points = points * _vector("1 1 1" if mesh.get("scale") is None else mesh.get("scale"))
+        if origin is None:
+            return np.asarray(points)
+        turn = pin.rpy.rpyToMatrix(_vector(origin.get("rpy", "0 0 0")))
+        return np.asarray(points @ turn.T + _vector(origin.get("xyz", "0 0 0")))
+    raise HandModelError(
+        f"finger '{finger.name}' has no radius, and its tip link '{finger.tip}' has no mesh to fit "
+        "one to; give 'radius' and 'center' in the hand's YAML"
+    )
+
+
+def _mesh_file(name: str, file: Path) -> Path:
+    """Return the mesh that a URDF names, by ``package://`` or relative to the URDF's file."""
+    inside = name.split("://", 1)[-1]
+    for folder in file.resolve().parents:
+        for candidate in (folder / inside, folder / inside.split("/", 1)[-1]):
+            if candidate.is_file():
+                return candidate
+    raise HandModelError(f"the mesh '{name}' is not beside '{file}'; correct the URDF")
+
+
+def _vector(text: str | None) -> Array:
+    return np.array([float(word) for word in str(text).split()])
