@@ -113,7 +113,7 @@ class HandConfig(Config):
         except metadata.PackageNotFoundError:
             raise HandModelError(
                 f"this hand comes with the package '{self.package}', which is not installed; run "
-                "`pip install tactile_hand_ros[hands]`"
+                f"`pip install --no-deps {self.package}`"
             ) from None
         for file in files:
             if file.match(self.urdf):

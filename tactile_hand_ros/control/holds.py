@@ -317,6 +317,18 @@ def largest_stiffness(
     return damping * linear**2 / late, 0.5 * damping * angular**2 / late
 
 
+def motions_of_object(hand: Hand, theta: Array, contacts: Contacts) -> int:
+    """Return in how many directions of 6 the joints move the object while all contacts hold.
+
+    Args:
+        hand: The hand.
+        theta: Joint angles, shape (m,), rad.
+        contacts: Contacts with the object; all fingers must touch.
+    """
+    twists = _motions(hand, hand.fingertips(theta), contacts)[-6:]
+    return int(np.linalg.matrix_rank(twists, tol=_INDEPENDENT)) if twists.size else 0
+
+
 def _rates_of_twists(motions: Array) -> Array:
     """Return the joint rates of unit twists in motions of joints and object, shape (m, 6)."""
     return np.asarray(motions[:-6] @ np.linalg.pinv(motions[-6:], rcond=_INDEPENDENT))

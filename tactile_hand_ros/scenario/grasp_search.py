@@ -124,7 +124,8 @@ def scenario_values(
 ) -> dict[str, Any]:
     """Return a scenario in which a hand holds the box, as it is written to a YAML file.
 
-    The grasp force starts at one and a half times what the weight needs.
+    The grasp force starts at one and a half times what the weight needs, and stays inside what the
+    joints bear and the regulator's own limit.
 
     Args:
         hand: Name or file of the hand.
@@ -134,6 +135,7 @@ def scenario_values(
         found: The grasp.
     """
     needed = 9.81 * mass / (expected_friction(friction) - found.friction)
+    largest = min(found.grasp_force, SlipRegulatorConfig.model_fields["maximum"].default)
     return {
         "extends": "human_hold",
         "description": f"A box of {mass:.3g} kg, held with joint angles found by a search.",
@@ -151,8 +153,8 @@ def scenario_values(
             },
         },
         "slip_regulator": {
-            "grasp_force": round(min(1.5 * needed, found.grasp_force), 3),
-            "maximum": round(found.grasp_force, 3),
+            "grasp_force": round(min(1.5 * needed, largest), 3),
+            "maximum": round(largest, 3),
         },
     }
 

@@ -9,7 +9,11 @@ from support.hands import write_hand
 
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
 from tactile_hand_ros.control.grasp import VirtualFrame, grasp_map, wrench_forces
-from tactile_hand_ros.control.holds import fitted_gains, required_bandwidth
+from tactile_hand_ros.control.holds import (
+    fitted_gains,
+    motions_of_object,
+    required_bandwidth,
+)
 from tactile_hand_ros.control.optimizer.force_optimizer import (
     ForceOptimizer,
     ForceOptimizerConfig,
@@ -121,6 +125,7 @@ def test_gains_fit_motions_that_exist_only(tmp_path):
     forces = contacts.centroid - contacts.positions
     gains = fitted_gains(plant.hand, theta, contacts, forces, 0.002, 0.01, 0.1)
     stiffness = gains.stiffness
+    assert motions_of_object(plant.hand, theta, contacts) == 3
     assert np.isfinite(gains.rest).all() and np.isfinite(gains.damping).all()
     assert np.linalg.matrix_rank(stiffness, tol=1e-9 * np.abs(stiffness).max()) == 3
     assert np.linalg.eigvalsh(0.5 * (stiffness + stiffness.T))[0] > -1e-9

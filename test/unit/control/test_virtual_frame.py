@@ -14,7 +14,7 @@ from tactile_hand_ros.control.grasp import (
     collinearity_margin,
     orientation_error,
 )
-from tactile_hand_ros.errors import CollinearContactsError, GraspError
+from tactile_hand_ros.errors import CollinearContactsError
 from tactile_hand_ros.rotations import rotation_from_vector
 
 
@@ -97,12 +97,7 @@ def test_points_on_a_line_have_no_frame():
     for k in (3, 4):
         with pytest.raises(CollinearContactsError):
             VirtualFrame().orientation(line[:k])
-    with pytest.raises(GraspError, match="at least three"):
-        VirtualFrame().orientation(line[:2])
-    frame = VirtualFrame()
-    frame.orientation(np.vstack([three_faces().positions, [[0.0, 0.0, 0.1]]]))
-    with pytest.raises(CollinearContactsError):
-        frame.orientation(line)
+
 
 
 @given(rotations, rotations)
