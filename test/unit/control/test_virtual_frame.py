@@ -97,6 +97,10 @@ def test_points_on_a_line_have_no_frame():
     for k in (3, 4):
         with pytest.raises(CollinearContactsError):
             VirtualFrame().orientation(line[:k])
+    frame = VirtualFrame()
+    frame.orientation(np.vstack([three_faces().positions, [[0.0, 0.0, 0.1]]]))
+    with pytest.raises(CollinearContactsError):
+        frame.orientation(line)
 
 
 
