@@ -13,9 +13,9 @@ from support.grasps import normals
 
 from tactile_hand_ros.errors import ConfigurationError, ObjectModelError
 from tactile_hand_ros.simulation.plant_config import ObjectConfig
-from tactile_hand_ros.simulation.solid import ConvexPolyhedron, closest_point
+from tactile_hand_ros.simulation.solid import Solid, closest_point
 
-BOX = ConvexPolyhedron.box(np.array([0.2, 0.4, 0.6]))
+BOX = Solid.box(np.array([0.2, 0.4, 0.6]))
 GOLDEN = (1.0 + 5.0**0.5) / 2.0
 
 
@@ -32,13 +32,13 @@ def dodecahedron(decimals=None):
 
 def test_a_box_is_the_hull_of_its_corners():
     """Its planes are explicit, since computing them would load a library."""
-    hull = ConvexPolyhedron(BOX.vertices)
+    hull = Solid(BOX.vertices)
     for ours, found in zip(BOX.shape, hull.shape, strict=True):
         np.testing.assert_allclose(ours, found, atol=1e-15)
 
 
 def test_corners_of_a_face_run_counter_clockwise_about_its_normal():
-    for solid in (BOX, ConvexPolyhedron(dodecahedron())):
+    for solid in (BOX, Solid(dodecahedron())):
         for normal, offset, corners in zip(
             solid.normals, solid.offsets, solid.face_corners, strict=True
         ):
@@ -49,7 +49,7 @@ def test_corners_of_a_face_run_counter_clockwise_about_its_normal():
 
 
 def test_a_dodecahedron_has_pentagons():
-    solid = ConvexPolyhedron(dodecahedron())
+    solid = Solid(dodecahedron())
     assert [len(corners) for corners in solid.face_corners] == [5] * 12
     assert len(solid.edges) == 30
     np.testing.assert_allclose(np.linalg.norm(solid.normals, axis=1), 1.0)
@@ -61,7 +61,7 @@ def test_corners_typed_with_few_decimals_leave_no_holes(decimals):
     from scipy.spatial import ConvexHull
 
     corners = dodecahedron(decimals)
-    solid, hull = ConvexPolyhedron(corners), ConvexHull(corners)
+    solid, hull = Solid(corners), ConvexHull(corners)
     random = np.random.default_rng(1)
     for triangle, plane in zip(corners[hull.simplices], hull.equations, strict=True):
         for _ in range(10):
@@ -81,14 +81,14 @@ def test_corners_typed_with_few_decimals_leave_no_holes(decimals):
 )
 def test_what_spans_no_solid_is_refused(points):
     with pytest.raises(ObjectModelError, match="do not span a solid"):
-        ConvexPolyhedron(points)
+        Solid(points)
 
 
 def test_many_corners_take_no_minutes():
     """Comparing the planes pair by pair would take minutes for 3000 corners."""
     points = np.random.default_rng(1).normal(size=(1000, 3))
     start = time.process_time()
-    solid = ConvexPolyhedron(points / np.linalg.norm(points, axis=1)[:, None])
+    solid = Solid(points / np.linalg.norm(points, axis=1)[:, None])
     assert time.process_time() - start < 3.0
     assert len(solid.normals) == 1996
 
@@ -127,13 +127,13 @@ def test_a_body_without_given_inertia_is_uniform():
 
 def test_the_inertia_of_a_turned_body_is_turned():
     turn = Rotation.from_rotvec([0.3, -1.1, 0.7]).as_matrix()
-    box = ConvexPolyhedron.box(np.array([0.1, 0.2, 0.3]))
-    turned = ConvexPolyhedron(box.vertices @ turn.T)
+    box = Solid.box(np.array([0.1, 0.2, 0.3]))
+    turned = Solid(box.vertices @ turn.T)
     np.testing.assert_allclose(turned.gyration(), turn @ box.gyration() @ turn.T, atol=1e-12)
 
 
 def test_a_uniform_body_off_its_center_is_refused():
-    corners = (ConvexPolyhedron.box(np.full(3, 0.1)).vertices + [0.0, 0.02, 0.0]).ravel().tolist()
+    corners = (Solid.box(np.full(3, 0.1)).vertices + [0.0, 0.02, 0.0]).ravel().tolist()
     body = ObjectConfig(vertices=corners)
     with pytest.raises(ObjectModelError, match=r"at \(.*, 0.02, .*move the vertices, or give"):
         body.inertia_about(body.solid())
@@ -148,7 +148,7 @@ random_numbers = st.integers(0, 2**32 - 1).map(np.random.default_rng)
 @given(random_numbers, st.integers(4, 30), normals, st.floats(0.0, 1.0))
 def test_distance_and_normal_of_random_polyhedra(random, corners, direction, how_far):
     """Outside, they refer to the nearest point; inside, to the nearest face."""
-    solid = ConvexPolyhedron(random.uniform(-0.1, 0.1, (corners, 3)))
+    solid = Solid(random.uniform(-0.1, 0.1, (corners, 3)))
     inside = random.dirichlet(np.ones(len(solid.vertices))) @ solid.vertices
     point = inside + how_far * direction
     distance, normal = closest_point(solid.shape, point)
@@ -172,6 +172,6 @@ def test_box_against_clipping(random, direction):
     clipped = np.clip(point, -half, half)
     if (clipped == point).all():
         return
-    distance, normal = closest_point(ConvexPolyhedron.box(2.0 * half).shape, point)
+    distance, normal = closest_point(Solid.box(2.0 * half).shape, point)
     assert distance == pytest.approx(np.linalg.norm(point - clipped), abs=1e-12)
     np.testing.assert_allclose(normal, (point - clipped) / distance, atol=1e-9)
