@@ -121,6 +121,15 @@ class ObjectConfig(Config):
         return self.mass * solid.gyration()
 
 
+class ContactConfig(Config):
+    """Softness of the fingertips; without it contact is rigid, and a point."""
+
+    compliance: float = param(0.0, "indentation of a soft tip per normal force", unit="m/N", ge=0.0)
+    torsion: float = param(
+        0.0, "largest moment about the normal per largest friction force", unit="m", ge=0.0
+    )
+
+
 class Disturbance(Config):
     """One push on the object, at its center of mass and in palm axes."""
 
@@ -171,6 +180,7 @@ class PlantConfig(Config):
         [1.047, 0.0, 1.571], "joint angles at the start, for all joints or one finger", unit="rad"
     )
     object: ObjectConfig = ObjectConfig()
+    contact: ContactConfig = ContactConfig()
     gravity: Vector = param((0.0, 0.0, 0.0), "acceleration of gravity, palm frame", unit="m/s^2")
     calibration: CalibrationConfig = CalibrationConfig()
     encoder: EncoderConfig = EncoderConfig()
