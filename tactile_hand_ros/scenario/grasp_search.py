@@ -305,7 +305,7 @@ class _RoundProblem(_Problem):
         return distances - self._hand.radii, -outward
 
     def _facing(self, tips: Array, normals: Array) -> Array:
-        """Return the arm between the lines of action, and by how much normals do not balance."""
-        arm = (tips[self._alone] - tips[self._others].mean(axis=0)) / self._scale
+        """Return by how much both sides miss the center of mass, and normals do not balance."""
+        sides = np.array([tips[self._alone], tips[self._others].mean(axis=0)])
         alone, others = normals[self._alone], normals[self._others].mean(axis=0)
-        return np.concatenate([np.cross(arm, alone), alone + others])
+        return np.append(np.cross(sides / self._scale, alone), alone + others)
