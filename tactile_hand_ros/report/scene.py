@@ -130,11 +130,12 @@ def _draw_object(axes: Any, record: Record, row: int, scenario: Scenario, reach:
 def _draw_solid(axes: Any, solid: Solid, turn: Array, place: Array) -> None:
     corners = solid.vertices @ turn.T + place
     art = optional("mpl_toolkits.mplot3d.art3d", "Drawing")
-    faces, look = [corners[face] for face in solid.face_corners], {"alpha": 0.25, "zorder": 1}
-    patch = art.Poly3DCollection(faces, facecolor="#b9c4cf", edgecolor="none", **look)
-    axes.add_collection3d(patch, autolim=False)
-    lines = art.Line3DCollection(corners[solid.edges], color="#5d6873", lw=0.6, **look)
-    axes.add_collection3d(lines, autolim=False)
+    faces = [corners[face] for face in solid.face_corners]
+    for part in (
+        art.Poly3DCollection(faces, facecolor="#b9c4cf", edgecolor="none", alpha=0.25, zorder=1),
+        art.Line3DCollection(corners[solid.edges], color="#5d6873", lw=0.6, zorder=1),
+    ):
+        axes.add_collection3d(part, autolim=False)
 
 
 def _draw_contacts(axes: Any, record: Record, row: int, reach: float, per_newton: float) -> None:

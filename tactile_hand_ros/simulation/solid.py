@@ -206,11 +206,13 @@ class Solid:
                 f"{file}: its surface of {len(mesh.faces)} triangles is not closed or not oriented "
                 "outward, so it has no mass; repair it, as with trimesh.repair or Blender"
             )
-        points = (mesh.convex_hull.vertices - mesh.center_mass) * scale
-        if len(points) > MAX_VERTICES:
-            points = points[np.unique((points @ _directions(MAX_VERTICES)).argmax(axis=0))]
-        solid = cls(points, gyration=mesh.moment_inertia / mesh.volume * scale**2)
-        solid.excess = solid._moments()[0] / (mesh.volume * scale**3) - 1.0
+        hull = mesh.convex_hull
+        if len(points := hull.vertices) > MAX_VERTICES:
+            farthest = (points @ _directions(MAX_VERTICES)).argmax(axis=0)
+            hull = trimesh.convex.convex_hull(points[np.unique(farthest)])
+        gyration = mesh.moment_inertia / mesh.volume * scale**2
+        solid = cls((hull.vertices - mesh.center_mass) * scale, gyration=gyration)
+        solid.excess = hull.volume / mesh.volume - 1.0
         return solid
 
     def gyration(self) -> Array:
