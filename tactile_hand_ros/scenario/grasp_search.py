@@ -306,6 +306,6 @@ class _RoundProblem(_Problem):
 
     def _facing(self, tips: Array, normals: Array) -> Array:
         """Return by how much both sides miss the center of mass, and normals do not balance."""
-        sides = np.array([tips[self._alone], tips[self._others].mean(axis=0)])
+        sides = np.array([tips[self._alone], tips[self._others].mean(axis=0)]) / self._scale
         alone, others = normals[self._alone], normals[self._others].mean(axis=0)
-        return np.append(np.cross(sides / self._scale, alone), alone + others)
+        return np.append(sides - np.outer(sides @ alone, alone), alone + others)

@@ -275,7 +275,7 @@ class Solid:
         at_rim = (np.abs(np.abs(z) - height) < 1e-12).all(axis=1) & (z[:, 0] == z[:, 1])
         turn = np.arctan2(y, x) * _LINES / (2.0 * np.pi)
         along = ((np.abs(turn - turn.round()) < 1e-9) | (np.hypot(x, y) == 0.0)).all(axis=1)
-        return self.edges[at_rim | along]
+        return np.asarray(self.edges[at_rim | along])
 
     def _shape(self) -> Shape:
         longest = max(len(c) for c in self.face_corners)
@@ -305,7 +305,7 @@ def _round_gyration(radius: float, profile: Array) -> Array:
     # The center of mass of a hemisphere is 3/8 r above its base.
     ends = sphere * (0.4 * r**2 + b**2 + 0.75 * r * b)
     across = cylinder * (radius**2 / 4.0 + b**2 / 3.0) + ends
-    return np.diag([across, across, about_z]) / (cylinder + sphere)
+    return np.asarray(np.diag([across, across, about_z]) / (cylinder + sphere))
 
 
 def _directions(count: int) -> Array:

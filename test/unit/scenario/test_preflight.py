@@ -5,6 +5,7 @@ import warnings
 
 import numpy as np
 import pytest
+import trimesh
 from support.hands import posture_for, write_hand
 
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
@@ -171,7 +172,6 @@ def test_a_stiffness_that_takes_all_damping_by_its_delay_is_refused():
 @pytest.mark.parametrize(("depth", "reported"), [(0.02, []), (0.0955, ["+13.9 %"])])
 def test_a_mesh_whose_hull_is_another_body_is_reported(tmp_path, depth, reported):
     """A cube with a pyramid cut out of the face that no finger touches."""
-    trimesh = pytest.importorskip("trimesh")
     cube = trimesh.creation.box((0.2604, 0.2604, 0.2604))
     top = cube.face_normals[:, 2] > 0.5
     ring = sorted(np.unique(cube.faces[top]), key=lambda i: np.arctan2(*cube.vertices[i, 1::-1]))

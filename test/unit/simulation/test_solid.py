@@ -5,6 +5,7 @@ import time
 
 import numpy as np
 import pytest
+import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
@@ -260,7 +261,6 @@ def mesh_file(tmp_path, mesh, name="body.stl"):
 
 
 def test_the_mesh_of_a_box_is_the_box_wherever_its_origin_and_unit(tmp_path):
-    trimesh = pytest.importorskip("trimesh")
     mesh = trimesh.creation.box((100.0, 200.0, 300.0))
     mesh.apply_translation([70.0, -30.0, 20.0])
     body = ObjectConfig(mesh=mesh_file(tmp_path, mesh), scale=0.001, mass=1.2)
@@ -278,7 +278,6 @@ def test_the_mesh_of_a_box_is_the_box_wherever_its_origin_and_unit(tmp_path):
 
 def test_the_mass_is_that_of_the_mesh_and_many_corners_are_simplified(tmp_path):
     """A block with a quarter cut out has its center of mass off the middle of its hull."""
-    trimesh = pytest.importorskip("trimesh")
     polygon = [[0, 0], [0.2, 0], [0.2, 0.1], [0.1, 0.1], [0.1, 0.2], [0, 0.2]]
     faces = [[0, 1, 2], [0, 2, 3], [0, 3, 4], [0, 4, 5]]
     block = trimesh.creation.extrude_triangulation(np.array(polygon), np.array(faces), 0.1)
@@ -297,7 +296,6 @@ def test_the_mass_is_that_of_the_mesh_and_many_corners_are_simplified(tmp_path):
 
 
 def test_what_is_no_mesh_is_refused(tmp_path):
-    trimesh = pytest.importorskip("trimesh")
     box = trimesh.creation.box((0.1, 0.1, 0.1))
     box.update_faces(np.arange(12) > 0)
     (tmp_path / "text.stl").write_text("no mesh")
