@@ -68,6 +68,7 @@ setup(
     extras_require={
         "cli": ["typer>=0.12.4,<1", "rich>=13,<15", "psutil>=5.9,<8"],
         "figures": ["matplotlib>=3.6,<4", "scipy>=1.11,<2"],
+        "mesh": ["trimesh>=4.4"],
         "fast": ["numba>=0.60"],
         "study": ["joblib>=1.3,<2", "dask>=2024.1", "distributed>=2024.1"],
         "test": ["pytest>=7.4", "pytest-timeout>=2.2", "hypothesis>=6.98"],

@@ -26,36 +26,39 @@ from tactile_hand_ros.simulation.plant_config import ObjectConfig
 
 COLUMNS = ("", "load, N", "largest k_f, N", "friction needed", "room left, %")
 _SHOWN = 5
-_PART = 0.2  # of the load that can be held, the weight of a box; the rest is for pulls
-_HEAVY = 0.2  # kg, the most that such a box weighs
+_PART = 0.2  # of the load that can be held, the weight of an object; the rest is for pulls
+_HEAVY = 0.2  # kg, the most that such an object weighs
 _GRAVITY = 9.81  # m/s^2, along -z of the palm
 
 
 def find_grasp(
-    hand: str, edges: Sequence[float], friction: float, mass: float, folder: Path
+    hand: str, edges: Sequence[float], shape: str, friction: float, mass: float, folder: Path
 ) -> None:
-    """Search for grasps of a box, print the best, and write a scenario with a picture.
+    """Search for grasps of an object, print the best, and write a scenario with a picture.
 
     Args:
         hand: Name or YAML file.
-        edges: One edge of a cube or three of a box, m.
+        edges: One edge of a cube, diameter and length, or three edges of the box around it, m.
+        shape: See `ObjectConfig`.
         friction: Friction coefficient.
-        mass: Mass of the box, kg; 0 for a fifth of what the hand can hold, at most 0.2 kg.
+        mass: Mass of the object, kg; 0 for a fifth of what the hand can hold, at most 0.2 kg.
         folder: For the files.
 
     Raises:
         TactileHandError: If the edges or the hand cannot be used, or no grasp was found.
     """
-    if len(edges) not in (1, 3) or not all(0.0 < edge < math.inf for edge in edges):
+    counts = (1, 3) if shape == "box" else (1, 2, 3)
+    if len(edges) not in counts or not all(0.0 < edge < math.inf for edge in edges):
         raise TactileHandError(
-            f"the box has the edges {list(edges)}, expected one or three positive lengths in m, as "
-            f"`tactile-hand grasp {hand} 0.05`"
+            f"the {shape} has the edges {list(edges)}, expected one or three positive lengths in "
+            f"m, or diameter and length of a round one, as `tactile-hand grasp {hand} 0.05`"
         )
-    x, y, z = (*edges, *edges, *edges)[:3]
-    size, built = (x, y, z), Hand.load(hand, gravity=np.array([0.0, 0.0, -_GRAVITY]))
+    size = [edges[0], edges[min(1, len(edges) - 2)], edges[-1]]
+    body = ObjectConfig().changed({"shape": shape, "size": size, "friction": friction})
+    built = Hand.load(hand, gravity=np.array([0.0, 0.0, -_GRAVITY]))
     check_writable(folder)
-    with steps("searching", number_of_starts(built, size)) as advance:
-        found = search(built, size, friction, advance=advance)
+    with steps("searching", number_of_starts(built, body)) as advance:
+        found = search(built, body, advance=advance)
     best = found[0]
     print_table(
         f"{len(found)} grasps, the best first",
@@ -71,13 +74,14 @@ def find_grasp(
     heaviest = best.load / _GRAVITY
     if mass > heaviest:
         raise GraspError(
-            f"a box of {mass:g} kg is too heavy: the best grasp carries {heaviest:.2g} kg before a "
-            "joint reaches its torque limit; take a lighter one"
+            f"a {shape} of {mass:g} kg is too heavy: the best grasp carries {heaviest:.2g} kg "
+            "before a joint reaches its torque limit; take a lighter one"
         )
     chosen = mass or min(_HEAVY, _PART * heaviest)
-    name = f"{Path(hand).stem}_{1e3 * x:.0f}mm"
+    kind = "" if shape == "box" else f"{shape}_"
+    name = f"{Path(hand).stem}_{kind}{1e3 * size[0]:.0f}mm"
     where = str(Path(hand).resolve()) if Path(hand).is_file() else hand
-    values = scenario_values(where, size, friction, chosen, best)
+    values = scenario_values(where, body.changed({"mass": chosen}), best)
     file = folder / f"{name}.yaml"
     file.write_text(yaml.safe_dump(values, sort_keys=False), encoding="utf-8")
     drawn = hand_figure(built, best.theta, ObjectConfig(**values["plant"]["object"]))

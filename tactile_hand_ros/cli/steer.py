@@ -79,6 +79,10 @@ def grasp(
         list[float] | None,
         typer.Argument(metavar="[EDGE]...", help="Edge of the cube, or three of a box [m]."),
     ] = None,
+    shape: Annotated[
+        str,
+        typer.Option(help="box, cylinder, sphere or capsule; of a round one: diameter and length."),
+    ] = "box",
     friction: Annotated[float, typer.Option(help="Friction coefficient.", min=0.01)] = 0.5,
     mass: Annotated[
         float, typer.Option(metavar="KG", help="Mass of the box [kg]; 0 for what fits.", min=0.0)
@@ -94,7 +98,7 @@ def grasp(
     if hand:
         from tactile_hand_ros.cli.grasps import find_grasp
 
-        find_grasp(hand, edges or [], friction, mass, out)
+        find_grasp(hand, edges or [], shape, friction, mass, out)
         return
     with _hand(namespace, timeout) as running:
         print(running.grasp(True))

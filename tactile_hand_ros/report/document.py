@@ -38,7 +38,7 @@ def run_document(run: RunData, *, room: int = MAX_BYTES) -> dict[str, Any]:
         BagError: If the bag is damaged or has no tick.
     """
     record = run.record
-    hand, problem = model.hand(run)
+    (hand, unknown), (solid, missing) = model.hand(run), model.solid(run)
     plots = plot_columns(run)
     columns = plots | scene_columns(record)
     per_tick = sum(_BYTES[_code(name)] * each[:1].size for name, each in columns.items())
@@ -63,12 +63,12 @@ def run_document(run: RunData, *, room: int = MAX_BYTES) -> dict[str, Any]:
         },
         "events": [asdict(event) for event in run.events[:MAX_EVENTS]],
         "hand": hand,
-        "object": model.solid(run),
+        "object": solid,
         "assumptions": facts.assumptions(run),
         "tiles": facts.tiles(run),
         "tables": facts.all_tables(run),
         "scenario": run.scenario_text,
-        "notes": [*facts.notes(run), *([problem] if problem else [])],
+        "notes": [*facts.notes(run), *filter(None, (unknown, missing))],
     }
 
 

@@ -47,16 +47,19 @@ def _tips(run: RunData) -> dict[str, tuple[str, float]]:
     return {finger.tip: (finger.name, finger.radius) for finger in config.fingers}
 
 
-def solid(run: RunData) -> dict[str, Any] | None:
-    """Return corners in m, faces and edges of the object; None if its shape is unknown."""
+def solid(run: RunData) -> tuple[dict[str, Any] | None, str]:
+    """Return corners in m, faces and edges of the object, or None and a sentence, if any."""
     if run.scenario is None:
-        return None
-    shape = run.scenario.plant.object.solid()
+        return None, ""
+    try:
+        shape = run.scenario.plant.object.solid()
+    except TactileHandError as error:  # a mesh on the machine of the run
+        return None, f"The object cannot be drawn: {error}."
     return {
         "vertices": shape.vertices.tolist(),
         "faces": [corners.tolist() for corners in shape.face_corners],
         "edges": shape.edges.tolist(),
-    }
+    }, ""
 
 
 Array = NDArray[np.float64]

@@ -25,7 +25,7 @@ from tactile_hand_ros.rotations import rodrigues, rotation_from_quaternion
 from tactile_hand_ros.run.derived import contact_forces, dropped_at
 from tactile_hand_ros.scenario.scenario import Scenario
 from tactile_hand_ros.simulation.plant_config import ObjectConfig
-from tactile_hand_ros.simulation.solid import ConvexPolyhedron
+from tactile_hand_ros.simulation.solid import Solid
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -127,13 +127,15 @@ def _draw_object(axes: Any, record: Record, row: int, scenario: Scenario, reach:
     _draw_solid(axes, solid, rotation_from_quaternion(record.object_quaternion[row]), place)
 
 
-def _draw_solid(axes: Any, solid: ConvexPolyhedron, turn: Array, place: Array) -> None:
+def _draw_solid(axes: Any, solid: Solid, turn: Array, place: Array) -> None:
     corners = solid.vertices @ turn.T + place
-    patch = optional("mpl_toolkits.mplot3d.art3d", "Drawing").Poly3DCollection(
-        [corners[face] for face in solid.face_corners],
-        facecolor="#b9c4cf", edgecolor="#5d6873", alpha=0.25, lw=0.6, zorder=1,
-    )  # fmt: skip
-    axes.add_collection3d(patch, autolim=False)
+    art = optional("mpl_toolkits.mplot3d.art3d", "Drawing")
+    faces = [corners[face] for face in solid.face_corners]
+    for part in (
+        art.Poly3DCollection(faces, facecolor="#b9c4cf", edgecolor="none", alpha=0.25, zorder=1),
+        art.Line3DCollection(corners[solid.edges], color="#5d6873", lw=0.6, zorder=1),
+    ):
+        axes.add_collection3d(part, autolim=False)
 
 
 def _draw_contacts(axes: Any, record: Record, row: int, reach: float, per_newton: float) -> None:

@@ -16,6 +16,7 @@ from tactile_hand_ros.own_law import folder_of
 _NOT_INHERITED = ("name", "description")  # they describe the extended scenario
 CONTROLLER = "manipulation_controller"
 _LAW = f"{CONTROLLER}.law"
+_MESH = "plant.object.mesh"
 
 
 def read_layers(path: Path, seen: tuple[Path, ...] = ()) -> dict[str, Any]:
@@ -62,7 +63,7 @@ def _find_base(base: str, path: Path) -> Path:
 
 
 def _complete(data: dict[str, Any], path: Path) -> dict[str, Any]:
-    """Return a scenario with paths relative to its file resolved: hand and own law.
+    """Return a scenario with paths relative to its file resolved: hand, mesh and own law.
 
     A ``law`` at the top level is short for that of the controller, and ``law: NAME`` for
     ``law: {name: NAME}``.
@@ -70,6 +71,10 @@ def _complete(data: dict[str, Any], path: Path) -> dict[str, Any]:
     data = dict(data)
     if isinstance(hand := data.get("hand"), str):
         data["hand"] = _beside(hand, path.parent)
+    plant = data.get("plant")
+    body = plant.get("object") if isinstance(plant, dict) else None
+    if isinstance(plant, dict) and isinstance(body, dict) and isinstance(body.get("mesh"), str):
+        data["plant"] = {**plant, "object": {**body, "mesh": _mesh(body["mesh"], path.parent)}}
     section = data.get(CONTROLLER, {})
     if not isinstance(section, dict) or "law" not in {*data, *section}:
         return data  # validation reports the error
@@ -88,6 +93,11 @@ def _beside(hand: str, folder: Path) -> str:
     if not hand.endswith(SUFFIXES) or hand.startswith("~"):
         return hand
     return os.path.normpath(folder.resolve() / hand)
+
+
+def _mesh(file: str, folder: Path) -> str:
+    """Return the absolute path of a mesh; empty stays empty."""
+    return os.path.normpath(folder.resolve() / os.path.expanduser(file)) if file else ""
 
 
 def _without_layout(under: dict[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
@@ -123,6 +133,8 @@ def put_changes(data: dict[str, Any], changes: Mapping[str, Any]) -> dict[str, s
         if place == "hand" and isinstance(value, str):
             value = _beside(value, here)
             data.pop("layout" if value != data.get("hand") else "", None)
+        if place == _MESH and isinstance(value, str):
+            value = _mesh(value, here)
         if place == _LAW and isinstance(value, str):
             place = f"{_LAW}.name"
         if place == f"{_LAW}.name" and isinstance(value, str):

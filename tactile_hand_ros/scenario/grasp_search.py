@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Joint angles at which a hand holds a box: one finger on a face, the others opposite.
+"""Joint angles at which a hand holds an object: one finger on one side, the others opposite.
 
 A least-squares search from many random postures, with one residual for each demand: tips touch
-their faces, away from the edges, on their hemispheres, apart from each other and facing each other,
-and joints stay away from their ends. What is found is ranked by the load that the weakest joint
-permits with the friction that a hand expects before it has slipped.
+their faces or a round surface, away from the edges, on their hemispheres, apart from each other and
+facing each other, and joints stay away from their ends. What is found is ranked by the load that
+the weakest joint permits with the friction that a hand expects before it has slipped.
 """
 
 from __future__ import annotations
@@ -33,6 +33,8 @@ from tactile_hand_ros.errors import GraspError
 from tactile_hand_ros.extras import optional
 from tactile_hand_ros.hand.hand import Hand
 from tactile_hand_ros.rotations import rodrigues, vector_from_rotation
+from tactile_hand_ros.simulation.plant_config import ObjectConfig
+from tactile_hand_ros.simulation.solid import closest_point
 
 Array = NDArray[np.float64]
 
@@ -50,17 +52,17 @@ _TOUCH = 1e-4  # m; further away, a tip does not touch
 
 @dataclass(frozen=True)
 class FoundGrasp:
-    """A grasp of a box.
+    """A grasp of an object.
 
     Attributes:
         theta: Joint angles, shape (m,), rad.
-        position: Center of the box, palm frame, shape (3,), m.
+        position: Center of the object, palm frame, shape (3,), m.
         rotation: Its rotation vector, shape (3,), rad.
         contacts: Contacts of the fingers, palm frame.
         friction: Friction coefficient that f* needs.
         grasp_force: k_f that friction needs for that load, N.
         room: Smallest fraction left of the ways to joint limits and rims; see `reach.room`.
-        load: Largest force on the box, in any direction, at which all joints stay inside their
+        load: Largest force on the object, in any direction, at which all joints stay inside their
             limits, N.
     """
 
@@ -82,8 +84,7 @@ def expected_friction(friction: float) -> float:
 
 def search(
     hand: Hand,
-    size: tuple[float, float, float],
-    friction: float,
+    body: ObjectConfig,
     seed: int = 0,
     advance: Callable[[str], None] = lambda _: None,
 ) -> list[FoundGrasp]:
@@ -91,18 +92,17 @@ def search(
 
     Args:
         hand: The hand.
-        size: Edges of the box, m.
-        friction: Friction coefficient of the box.
+        body: Shape, size and friction of the object.
         seed: Seed of the random postures.
         advance: Called after each start with what is tried; there are `number_of_starts`.
 
     Raises:
         GraspError: If there is none, with the reason that came up most.
     """
-    relied = expected_friction(friction)
+    relied = expected_friction(body.friction)
     random, found, reasons = np.random.default_rng(seed), list[FoundGrasp](), list[str]()
-    for alone, axis in _choices(hand, size):
-        problem = _Problem(hand, size, alone, axis)
+    for alone, axis in _choices(hand, body):
+        problem = (_Problem if body.shape == "box" else _RoundProblem)(hand, body, alone, axis)
         for _ in range(STARTS):
             grasp, reason = problem.solve(random, relied)
             reasons.append(reason)
@@ -112,42 +112,39 @@ def search(
     if not found:
         most = max(set(reasons), key=reasons.count)
         raise GraspError(
-            f"no grasp of a box of {' x '.join(f'{1e3 * edge:g}' for edge in size)} mm was found "
-            f"from {len(reasons)} postures; most often {most}. Try another size, or check limits, "
-            "axis and center of the tips with `tactile-hand hand`"
+            f"no grasp of a {body.shape} of {' x '.join(f'{1e3 * edge:g}' for edge in body.size)} "
+            f"mm was found from {len(reasons)} postures; most often {most}. Try another size, or "
+            "check limits, axis and center of the tips with `tactile-hand hand`"
         )
     return sorted(found, key=lambda grasp: -grasp.load)
 
 
-def scenario_values(
-    hand: str, size: tuple[float, float, float], friction: float, mass: float, found: FoundGrasp
-) -> dict[str, Any]:
-    """Return a scenario in which a hand holds the box, as it is written to a YAML file.
+def scenario_values(hand: str, body: ObjectConfig, found: FoundGrasp) -> dict[str, Any]:
+    """Return a scenario in which a hand holds the object, as it is written to a YAML file.
 
     The grasp force starts at one and a half times what the weight needs, and stays inside what the
     joints bear and the regulator's own limit.
 
     Args:
         hand: Name or file of the hand.
-        size: Edges of the box, m.
-        friction: Friction coefficient.
-        mass: Mass of the box, kg.
+        body: Shape, size, friction and mass of the object.
         found: The grasp.
     """
-    needed = 9.81 * mass / (expected_friction(friction) - found.friction)
+    needed = 9.81 * body.mass / (expected_friction(body.friction) - found.friction)
     largest = min(found.grasp_force, SlipRegulatorConfig.model_fields["maximum"].default)
     return {
         "extends": "human_hold",
-        "description": f"A box of {mass:.3g} kg, held with joint angles found by a search.",
+        "description": f"A {body.shape} of {body.mass:.3g} kg, held with angles from a search.",
         "hand": hand,
         "layout": "",
         "targets": [],
         "plant": {
             "initial_joints": _rounded(found.theta),
             "object": {
-                "size": list(size),
-                "mass": round(mass, 4),
-                "friction": friction,
+                "shape": body.shape,
+                "size": list(body.size),
+                "mass": round(body.mass, 4),
+                "friction": body.friction,
                 "position": _rounded(found.position),
                 "rotation": _rounded(found.rotation),
             },
@@ -163,24 +160,29 @@ def _rounded(values: Array) -> list[float]:
     return [round(float(value), 6) for value in values]
 
 
-def number_of_starts(hand: Hand, size: tuple[float, float, float]) -> int:
+def number_of_starts(hand: Hand, body: ObjectConfig) -> int:
     """Return how many postures `search` starts from; see there."""
-    return STARTS * len(list(_choices(hand, size)))
+    return STARTS * len(list(_choices(hand, body)))
 
 
-def _choices(hand: Hand, size: tuple[float, float, float]) -> Iterator[tuple[int, int]]:
-    """Yield which finger is alone, and the axis of the box along which it presses."""
-    axes = {edge: axis for axis, edge in enumerate(size)}  # of equal edges one suffices
+def _choices(hand: Hand, body: ObjectConfig) -> Iterator[tuple[int, int]]:
+    """Yield which finger is alone, and the axis of the object along which it presses."""
+    axes = {edge: axis for axis, edge in enumerate(body.size)}  # of equal edges one suffices
+    if body.shape != "box":
+        axes = {body.size[0]: 0}
     return itertools.product(range(hand.fingers), axes.values())
 
 
 class _Problem:
     """One choice of faces: the finger `alone` presses along an axis of the box, the others back."""
 
-    def __init__(self, hand: Hand, size: tuple[float, float, float], alone: int, axis: int) -> None:
-        self._hand, self._half, self._alone, self._axis = hand, 0.5 * np.array(size), alone, axis
+    def __init__(self, hand: Hand, body: ObjectConfig, alone: int, axis: int) -> None:
+        self._hand, self._alone, self._axis = hand, alone, axis
+        self._half, self._shape = 0.5 * np.array(body.size), body.solid().shape
         self._sides = np.where(np.arange(hand.fingers) == alone, -1.0, 1.0)  # of the box
+        self._others = self._sides > 0.0
         self._across = [i for i in range(3) if i != axis]
+        self._edges = self._half[self._across]
         self._pairs = list(itertools.combinations(range(hand.fingers), 2))
         lower, upper = (np.clip(limit, -np.pi, np.pi) for limit in hand.position_limits)
         self._lower, self._upper = lower, upper
@@ -203,7 +205,7 @@ class _Problem:
     def _placed(self, theta: Array, random: Any) -> tuple[Array, Array]:
         """Return a pose of the box between the fingertips: position and rotation vector."""
         tips = self._hand.tip_positions(theta)
-        others = tips[np.arange(len(tips)) != self._alone].mean(axis=0)
+        others = tips[self._others].mean(axis=0)
         along = others - tips[self._alone]
         along = along / max(float(np.linalg.norm(along)), 1e-9)
         sides = random.standard_normal((2, 3))
@@ -216,19 +218,26 @@ class _Problem:
         theta, position, turn = x[: self._hand.joints], x[-6:-3], rodrigues(*x[-3:])
         return (self._hand.tip_positions(theta) - position) @ turn, turn, theta
 
-    def _normals(self, turn: Array) -> Array:
-        """Return the inward normals of the touched faces, palm frame, shape (k, 3)."""
-        return np.asarray(-self._sides[:, None] * turn[:, self._axis])
+    def _touched(self, tips: Array) -> tuple[Array, Array]:
+        """Return gaps, shape (k,), m, and inward normals, shape (k, 3), of tips in its frame."""
+        gaps = self._sides * tips[:, self._axis] - self._half[self._axis] - self._hand.radii
+        return gaps, -self._sides[:, None] * np.eye(3)[self._axis]
+
+    def _sideways(self, tips: Array) -> Array:
+        """Return how far contacts are from the middles between edges, of shape (k, n), m."""
+        return np.asarray(np.abs(tips[:, self._across]))
+
+    def _facing(self, tips: Array, normals: Array) -> Array:
+        """Return how far the finger that is alone is from facing the others, any shape."""
+        others = tips[self._others][:, self._across].mean(axis=0)
+        return np.asarray((tips[self._alone, self._across] - others) / self._scale)
 
     def _residuals(self, x: Array) -> Array:
         tips, turn, theta = self._seen(x)
-        hand, across = self._hand, self._across
-        gaps = self._sides * tips[:, self._axis] - self._half[self._axis] - hand.radii
-        sideways = np.abs(tips[:, across]) - (1.0 - _EDGE) * self._half[across]
+        hand, (gaps, normals) = self._hand, self._touched(tips)
+        sideways = self._sideways(tips) - (1.0 - _EDGE) * self._edges
         tops = hand.tip_rotations(theta)[:, :, 0]
-        lean = _TOP - (tops * self._normals(turn)).sum(axis=1)
-        others = tips[self._sides > 0.0][:, across].mean(axis=0)
-        facing = tips[self._alone, across] - others
+        lean = _TOP - (tops * (normals @ turn.T)).sum(axis=1)
         apart = [
             hand.radii[i] + hand.radii[j] + _GAP - np.linalg.norm(tips[i] - tips[j])
             for i, j in self._pairs
@@ -239,7 +248,7 @@ class _Problem:
                 gaps / (0.01 * self._scale),
                 np.maximum(0.0, sideways).ravel() / (0.1 * self._scale),
                 3.0 * np.maximum(0.0, lean),
-                facing / self._scale,
+                self._facing(tips, normals),
                 np.maximum(0.0, apart) / (0.1 * self._scale),
                 _MIDDLE * middle,
                 5.0 * np.maximum(0.0, np.abs(middle) - _OUTSIDE),
@@ -248,12 +257,12 @@ class _Problem:
 
     def _judged(self, x: Array, friction: float) -> tuple[FoundGrasp | None, str]:
         tips, turn, theta = self._seen(x)
-        hand, normals = self._hand, self._normals(turn)
-        gaps = self._sides * tips[:, self._axis] - self._half[self._axis] - hand.radii
+        hand, (gaps, inward) = self._hand, self._touched(tips)
+        normals = inward @ turn.T
         if np.abs(gaps).max() > _TOUCH:
             worst = hand.finger_names[int(np.abs(gaps).argmax())]
-            return None, f"{worst} does not reach its face"
-        if (np.abs(tips[:, self._across]) > self._half[self._across]).any():
+            return None, f"{worst} does not reach its side"
+        if (self._sideways(tips) > self._edges).any():
             return None, "a contact is beyond an edge"
         points = x[-6:-3] + tips @ turn.T + hand.radii[:, None] * normals
         contacts = Contacts(points, np.array([contact_frame(normal) for normal in normals]))
@@ -282,3 +291,23 @@ class _Problem:
         pose = x[-6:-3].copy(), vector_from_rotation(turn)
         found = theta.copy(), *pose, contacts, needed, load / (friction - needed), left, load
         return FoundGrasp(*found), ""
+
+
+class _RoundProblem(_Problem):
+    """The same for a round body, whose contacts may be anywhere on its side."""
+
+    def __init__(self, hand: Hand, body: ObjectConfig, alone: int, axis: int) -> None:
+        super().__init__(hand, body, alone, axis)
+        self._across = [2] if body.shape == "cylinder" else []  # the others have no edges
+        self._edges = self._half[self._across]
+
+    def _touched(self, tips: Array) -> tuple[Array, Array]:
+        found = [closest_point(self._shape, tip) for tip in tips]
+        distances, outward = (np.array(each) for each in zip(*found, strict=True))
+        return distances - self._hand.radii, -outward
+
+    def _facing(self, tips: Array, normals: Array) -> Array:
+        """Return by how much both sides miss the center of mass, and normals do not balance."""
+        sides = np.array([tips[self._alone], tips[self._others].mean(axis=0)]) / self._scale
+        alone, others = normals[self._alone], normals[self._others].mean(axis=0)
+        return np.append(sides - np.outer(sides @ alone, alone), alone + others)

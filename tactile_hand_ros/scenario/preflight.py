@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+import warnings
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -17,9 +19,13 @@ from tactile_hand_ros.hand.hand import Hand
 from tactile_hand_ros.scenario.scenario import Scenario
 from tactile_hand_ros.simulation.plant import Plant
 
+_HULL_EXCESS = 0.03  # of the volume of a mesh: a dent of this size is felt by a fingertip
+
 
 def check_scenario(scenario: Scenario) -> None:
     """Build hand and object, and check the first grasp (A5, A7, (13)) and the reach of all targets.
+
+    A warning reports a mesh that its convex hull does not represent.
 
     Raises:
         HandModelError: If the hand cannot be built.
@@ -30,6 +36,12 @@ def check_scenario(scenario: Scenario) -> None:
             user law fails.
     """
     plant = Plant(scenario.plant)
+    if abs(excess := plant.solid.excess) > _HULL_EXCESS:
+        warnings.warn(
+            f"{scenario.plant.object.mesh}: fingers touch its convex hull, whose volume differs by "
+            f"{100.0 * excess:+.1f} % from that of the mesh; use a mesh with smaller dents",
+            stacklevel=2,
+        )
     hand, state = plant.hand, plant.state
     contacts, law = state.contacts, scenario.manipulation_controller.law
     _check_posture(hand, state.theta)

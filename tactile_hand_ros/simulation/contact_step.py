@@ -33,12 +33,16 @@ class World(NamedTuple):
         shape: Shape of the object.
         mass: Its mass, kg.
         inertia: Its inertia in its own frame, shape (3, 3), kg m^2.
+        compliance: Indentation of a soft fingertip per normal force, m/N.
+        torsion: Largest moment about the normal per largest friction force, m.
     """
 
     radii: Array
     shape: Shape
     mass: float
     inertia: Array
+    compliance: float = 0.0
+    torsion: float = 0.0
 
 
 class Motion(NamedTuple):
@@ -50,8 +54,9 @@ class Motion(NamedTuple):
         position: Center of mass, shape (3,), m.
         rotation: Object frame in the palm frame, shape (3, 3).
         before: The velocities one step earlier, shape (m + 6,).
-        rows: A of `velocity_map` half a step earlier, shape (k, 3, m + 6).
-        impulses: Impulses of the step on the object in contact frames, shape (k, 3), N s.
+        rows: A of `velocity_map` half a step earlier, shape (k, 3 or 4, m + 6).
+        impulses: Impulses of the step on the object in contact frames, shape (k, 3 or 4), N s; see
+            `coulomb`.
         sliding: Tangential velocities of the object against the tips (x, z), shape (k, 2), m/s.
         settled: Which contacts were closed and loaded already, without an impact, shape (k,).
         slid: Distance that each contact has slid since the start, shape (k,), m.
@@ -73,10 +78,12 @@ class Motion(NamedTuple):
     outcome: int
 
 
-def at_rest(theta: Array, position: Array, rotation: Array, fingers: int) -> Motion:
+def at_rest(
+    theta: Array, position: Array, rotation: Array, fingers: int, torsion: float = 0.0
+) -> Motion:
     """Return the initial `Motion` at joint angles, shape (m,), rad, and a pose of the object."""
-    k, still = fingers, np.zeros(len(theta) + 6)
-    past = np.zeros((k, 3, len(still))), np.zeros((k, 3)), np.zeros((k, 2))
+    k, d, still = fingers, 4 if torsion > 0.0 else 3, np.zeros(len(theta) + 6)
+    past = np.zeros((k, d, len(still))), np.zeros((k, d)), np.zeros((k, 2))
     settled = np.zeros(k, dtype=np.bool_)
     return Motion(theta, still, position, rotation, still, *past, settled, np.zeros(k), 0.0, EXACT)
 
@@ -117,7 +124,7 @@ def contact_geometry(
 
 @compiled
 def observed(world: World, now: Motion, tips: Array) -> tuple[Array, Array, Array, Array]:
-    """Return `contact_geometry`, NaN without a contact, and the last impulses, (k, 3), N s.
+    """Return `contact_geometry`, NaN without a contact, and the last impulses of `Motion`.
 
     A loaded fingertip touches, whatever the rounding of its gap. Impulses are in these frames.
     """
@@ -133,17 +140,28 @@ def observed(world: World, now: Motion, tips: Array) -> tuple[Array, Array, Arra
 
 
 @compiled
-def velocity_map(hand: RawDynamics, position: Array, points: Array, frames: Array) -> Array:
-    """Return A with w = A [theta'; v_o; w_o], object against tip in contact frames, (k, 3, m + 6).
+def velocity_map(
+    hand: RawDynamics, position: Array, points: Array, frames: Array, torsion: float
+) -> Array:
+    """Return A with w = A [theta'; v_o; w_o], object against tip in contact frames.
 
-    Its hand part is -R_C^T J_h and its object part R_C^T G^T with G of (4), equation (6).
+    Its hand part is -R_C^T J_h and its object part R_C^T G^T with G of (4), equation (6). With a
+    torsion, m, a fourth row is that times the relative spin about the normal.
+
+    Returns:
+        Shape (k, 3, m + 6), with a torsion (k, 4, m + 6).
     """
     k, m = len(hand.centers), len(hand.bias)
     jacobians = tip_jacobians(hand.spatial, hand.support, hand.coupling, hand.centers)
     tips = Fingertips(hand.centers, *jacobians)
-    out = np.empty((k, 3, m + 6))
-    out[:, :, :m] = -hand_jacobian(tips, points, frames)
-    out[:, :, m:] = grasp_map(points - position, frames).T.reshape(k, 3, 6)
+    out = np.zeros((k, 4 if torsion > 0.0 else 3, m + 6))
+    out[:, :3, :m] = -hand_jacobian(tips, points, frames)
+    out[:, :3, m:] = grasp_map(points - position, frames).T.reshape(k, 3, 6)
+    if torsion > 0.0:
+        for i in range(k):
+            normal = torsion * frames[i, :, 1].copy()
+            out[i, 3, :m] = -(normal @ tips.angular[i])
+            out[i, 3, m + 3 :] = normal
     return out
 
 
@@ -174,22 +192,24 @@ def step(
     v = now.velocities
     position, rotation = _moved(now.position, now.rotation, 0.5 * h, v[m:])
     points, frames, gaps = contact_geometry(world, position, rotation, hand.centers)
-    every = velocity_map(hand, position, points, frames)
+    every = velocity_map(hand, position, points, frames, world.torsion)
     turning, slid = _since(h, now, every)
     near = np.flatnonzero(gaps < NEAR)
-    c = len(near)
-    rows, start, closing = every[near].reshape(3 * c, m + 6), np.empty((c, 3)), np.empty(c)
+    c, d = len(near), every.shape[1]
+    rows, start, closing = every[near].reshape(d * c, m + 6), np.empty((c, d)), np.empty(c)
     for i in range(c):
         j = near[i]
-        closing[i] = _closing(gaps[j], h)
+        closing[i] = _closing(gaps[j], h, world.compliance)
         start[i] = carried(every[j, :, m:], now.rows[j, :, m:], now.impulses[j])
     forces = np.concatenate((torque - hand.bias, wrench))
     inverse_times, free = _response(h, now, world, hand.inertia, forces, rotation, rows)
-    impulses, sliding, residual, outcome = np.zeros((k, 3)), np.zeros((k, 2)), 0.0, EXACT
+    impulses, sliding, residual, outcome = np.zeros((k, d)), np.zeros((k, 2)), 0.0, EXACT
     settled, struck = np.zeros(k, dtype=np.bool_), False
     if c > 0:
         delassus, before, mu = rows @ inverse_times, rows @ free, friction[near]
-        turn = turning[near].reshape(3 * c)
+        turn = turning[near].reshape(d * c)
+        for i in range(c):  # an implicit spring: the gap after the step is -compliance p / h
+            delassus[d * i + 1, d * i + 1] += world.compliance / h**2
         solved = solve_contacts(delassus, before + turn, closing, mu, start)
         struck = bool(((solved.impulses[:, 1] > 0.0) & ~now.settled[near]).any())
         if (struck or solved.outcome != EXACT) and turn.any():
@@ -198,8 +218,9 @@ def step(
         free = free + inverse_times @ solved.impulses.copy().reshape(-1)
         for i in range(c):
             j = near[i]
-            impulses[j], sliding[j] = solved.impulses[i], solved.velocities[i, ::2]
-            settled[j] = impulses[j, 1] > 0.0 and abs(gaps[j]) < TOUCH
+            impulses[j], sliding[j] = solved.impulses[i], solved.velocities[i, :3:2]
+            indentation = world.compliance * impulses[j, 1] / h
+            settled[j] = impulses[j, 1] > 0.0 and abs(gaps[j] + indentation) < TOUCH
         residual, outcome = solved.residual, solved.outcome
     theta = now.theta + 0.5 * h * (v[:m] + free[:m])
     position, rotation = _moved(position, rotation, 0.5 * h, free[m:])
@@ -214,8 +235,8 @@ def _since(h: float, now: Motion, rows: Array) -> tuple[Array, Array]:
     """Compare contacts with those of the last step, half a step earlier and later.
 
     Returns:
-        The growth (A - A_before) v / 2 of A v, shape (k, 3), m/s, zero for contacts that have just
-        closed, and the distance slid, shape (k,), m.
+        The growth (A - A_before) v / 2 of A v, shape (k, 3 or 4), m/s, zero for contacts that have
+        just closed, and the distance slid, shape (k,), m.
     """
     v, m = now.velocities, len(now.theta)
     turning, slid = np.zeros(now.impulses.shape), now.slid.copy()
@@ -230,31 +251,33 @@ def _since(h: float, now: Motion, rows: Array) -> tuple[Array, Array]:
 
 @compiled
 def carried(now: Array, then: Array, vector: Array) -> Array:
-    """Return a vector in the axes that a contact has now, shape (3,).
+    """Return a vector in the axes that a contact has now, of the same shape.
 
     The tangents, which follow the palm's z axis, may have turned about the normal.
 
     Args:
         now: Axes of the contact frame as rows, palm axes, shape (3, 3 or more).
         then: The same shortly before.
-        vector: In the axes of `then`, shape (3,).
+        vector: In the axes of `then`, shape (3,), or (4,) with a moment about the normal.
     """
     c, s = 0.0, 0.0
     for a in range(3):
         c += now[0, a] * then[0, a] + now[2, a] * then[2, a]
         s += now[0, a] * then[2, a] - now[2, a] * then[0, a]
-    length = np.hypot(c, s)
+    length, out = np.hypot(c, s), vector.copy()
     if length == 0.0:
-        return vector.copy()
+        return out
     c, s = c / length, s / length
-    x, n, z = vector
-    return np.array([c * x + s * z, n, c * z - s * x])
+    out[0], out[2] = c * vector[0] + s * vector[2], c * vector[2] - s * vector[0]
+    return out
 
 
 @compiled
-def _closing(gap: float, h: float) -> float:
+def _closing(gap: float, h: float, compliance: float) -> float:
     """Return the speed at which a gap may close, or a penetration must open, m/s."""
-    return gap / h if gap > 0.0 else max(_RECOVERY * gap / h, -_FASTEST_RECOVERY)
+    if gap > 0.0 or compliance > 0.0:
+        return gap / h
+    return max(_RECOVERY * gap / h, -_FASTEST_RECOVERY)
 
 
 @compiled

@@ -12,6 +12,10 @@ exists for any mu and any singular W; see docs/explanation/physics.md. A penetra
 always be removed, since fingers may jam the object. Then it must not grow, which is c = 0. One in a
 hundred random problems with a singular W or a huge mu is not solved, and the outcome is UNSOLVED.
 
+A contact may have a fourth component s, the moment about the normal per its lever arm, and the
+velocity of turning times that arm. Then p_t and w_t have three components: the limit surface of a
+soft fingertip, an ellipsoid (Howe and Cutkosky 1996).
+
 Newton's method finds the root of a function of p that vanishes where the laws hold (Alart and
 Curnier 1991).
 """
@@ -50,8 +54,10 @@ class ContactImpulses(NamedTuple):
     """Solution of a contact problem.
 
     Attributes:
-        impulses: Impulses on the object in contact frames (x, n, z), shape (c, 3), N s.
-        velocities: Velocities w of the object against the fingertips after the step, (c, 3), m/s.
+        impulses: Impulses on the object in contact frames (x, n, z) or (x, n, z, s), shape (c, 3)
+            or (c, 4), N s.
+        velocities: Velocities w of the object against the fingertips after the step, the same
+            shape, m/s.
         residual: Largest violation of the two laws, relative to the largest velocity without
             impulses.
         outcome: EXACT, RELAXED or UNSOLVED.
@@ -73,61 +79,73 @@ def solve_contacts(
     semi-smooth Newton method finds the modes of all contacts together, with restarts.
 
     Args:
-        delassus: W, shape (3c, 3c), 1/kg, symmetric and positive semidefinite.
-        free: b, velocities without contact impulses, shape (3c,), m/s.
+        delassus: W, shape (3c, 3c) or (4c, 4c), 1/kg, symmetric and positive semidefinite.
+        free: b, velocities without contact impulses, shape (3c,) or (4c,), m/s.
         closing: c = gap / h, shape (c,), m/s.
         friction: mu, shape (c,).
-        guess: Impulses of the last step, shape (c, 3), N s.
+        guess: Impulses of the last step, shape (c, 3) or (c, 4), N s.
     """
+    d = len(free) // len(friction)
     offset = free.copy()
-    offset[1::3] += closing
+    offset[1::d] += closing
     factor, regular = factorize(delassus)
     if regular:
         stuck = -offset
         substitute(factor, stuck.reshape(-1, 1))
         if _inside(stuck, friction):
-            return _answer(delassus, free, stuck, 0.0, EXACT)
+            return _answer(guess.shape, delassus, free, stuck, 0.0, EXACT)
     laws = _contact_laws(delassus, offset, friction)
     best = _newton(laws, guess.copy().reshape(-1), 1.0)
     left = _into_cones(laws, best)
     if not left < _TOLERANCE:
         best, left = _search(laws, best, left)
     if left < _TOLERANCE:
-        return _answer(delassus, free, best, left, EXACT)
+        return _answer(guess.shape, delassus, free, best, left, EXACT)
     if closing.min() < 0.0:
         kept = free.copy()
-        kept[1::3] += np.maximum(closing, 0.0)
+        kept[1::d] += np.maximum(closing, 0.0)
         other, remains = _search(_contact_laws(delassus, kept, friction), best, np.inf)
         if remains < _TOLERANCE:
-            return _answer(delassus, free, other, _residual(laws, other), RELAXED)
-    return _answer(delassus, free, _without_gain(laws, best), left, UNSOLVED)
+            return _answer(guess.shape, delassus, free, other, _residual(laws, other), RELAXED)
+    return _answer(guess.shape, delassus, free, _without_gain(laws, best), left, UNSOLVED)
 
 
 @compiled
 def _inside(p: Array, friction: Array) -> bool:
+    d = len(p) // len(friction)
     for i in range(len(friction)):
-        x, n, z = p[3 * i], p[3 * i + 1], p[3 * i + 2]
-        if not n >= 0.0 or x * x + z * z > (friction[i] * n) ** 2:
+        x, n, z = p[d * i], p[d * i + 1], p[d * i + 2]
+        s = p[d * i + 3] if d == 4 else 0.0
+        if not n >= 0.0 or x * x + z * z + s * s > (friction[i] * n) ** 2:
             return False
     return True
 
 
 @compiled
-def _answer(delassus: Array, free: Array, p: Array, left: float, outcome: int) -> ContactImpulses:
+def _answer(
+    shape: tuple[int, ...], delassus: Array, free: Array, p: Array, left: float, outcome: int
+) -> ContactImpulses:
     velocities: Array = delassus @ p + free
-    return ContactImpulses(p.reshape(-1, 3), velocities.reshape(-1, 3), left, outcome)
+    return ContactImpulses(p.reshape(shape), velocities.reshape(shape), left, outcome)
+
+
+@compiled
+def _tangential(p: Array, i: int, d: int) -> float:
+    """Return the length of p without its normal component, of contact i with d components."""
+    length: float = np.hypot(p[d * i], p[d * i + 2])
+    return length if d == 3 else np.hypot(length, p[d * i + 3])
 
 
 class _Laws(NamedTuple):
-    """The contact laws of a step for impulses p, with w = W p + b.
+    """The contact laws of a step for impulses p, with w = W p + b and d = 3 or 4.
 
     Attributes:
-        delassus: W, shape (3c, 3c), 1/kg, symmetric and positive semidefinite.
-        offset: b, velocities without contact impulses, closing speeds included, shape (3c,), m/s.
+        delassus: W, shape (dc, dc), 1/kg, symmetric and positive semidefinite.
+        offset: b, velocities without contact impulses, closing speeds included, shape (dc,), m/s.
         friction: mu, shape (c,).
-        mobility: r > 0, shape (3c,), kg: turns velocities into impulses, without effect on the
+        mobility: r > 0, shape (dc,), kg: turns velocities into impulses, without effect on the
             roots.
-        size: Impulses that stop the contacts one by one, shape (3c,), N s.
+        size: Impulses that stop the contacts one by one, shape (dc,), N s.
     """
 
     delassus: Array
@@ -142,10 +160,12 @@ def _contact_laws(delassus: Array, offset: Array, friction: Array) -> _Laws:
     """Return the laws with the inverse diagonal of W as mobility."""
     largest = np.diag(delassus).max()
     smallest = _IMMOVABLE * largest if largest > 0.0 else 1.0
-    r = np.empty(len(offset))
-    for x in range(0, len(offset), 3):
-        tangential = 0.5 * (delassus[x, x] + delassus[x + 2, x + 2])
-        r[x] = r[x + 2] = 1.0 / max(tangential, smallest)
+    r, d = np.empty(len(offset)), len(offset) // len(friction)
+    for x in range(0, len(offset), d):
+        tangential = delassus[x, x] + delassus[x + 2, x + 2]
+        if d == 4:
+            tangential += delassus[x + 3, x + 3]
+        r[x : x + d] = 1.0 / max(tangential / (d - 1), smallest)
         r[x + 1] = 1.0 / max(delassus[x + 1, x + 1], smallest)
     return _Laws(delassus, offset, friction, r, r * max(np.abs(offset).max(), 1e-300))
 
@@ -190,19 +210,21 @@ def _residual(laws: _Laws, p: Array) -> float:
 @compiled
 def _into_cones(laws: _Laws, p: Array) -> float:
     """Remove rounding errors that leave the cones from p, and return its residual."""
+    d = len(p) // len(laws.friction)
     for i in range(len(laws.friction)):
-        x, n, z = 3 * i, 3 * i + 1, 3 * i + 2
+        x, n = d * i, d * i + 1
         if not p[n] > _ROUNDING * laws.size[n]:
-            p[x] = p[n] = p[z] = 0.0
-        limit, length = laws.friction[i] * p[n], np.hypot(p[x], p[z])
+            p[x : x + d] = 0.0
+        limit, length, push = laws.friction[i] * p[n], _tangential(p, i, d), p[n]
         if length > limit:
-            p[x], p[z] = p[x] * (limit / length), p[z] * (limit / length)
+            p[x : x + d] *= limit / length
+            p[n] = push
     return _residual(laws, p)
 
 
 @compiled
 def _newton(laws: _Laws, p: Array, stiffness: float) -> Array:
-    """Return the best iterate of Newton's method from impulses p, shape (3c,), N s.
+    """Return the best iterate of Newton's method from impulses p, shape (dc,), N s.
 
     The stiffness is a factor of r: if one fails, another may not.
     """
@@ -242,15 +264,13 @@ def _violation(laws: _Laws, p: Array, stiffness: float) -> Array:
     """
     w, b, mu, r, _ = laws
     aim = p - stiffness * r * (w @ p + b)
-    out = p.copy()
+    out, d = p.copy(), len(p) // len(mu)
     for i in range(len(mu)):
-        x, n, z = 3 * i, 3 * i + 1, 3 * i + 2
-        normal = max(aim[n], 0.0)
-        radius, length = mu[i] * normal, np.hypot(aim[x], aim[z])
+        normal = max(aim[d * i + 1], 0.0)
+        radius, length = mu[i] * normal, _tangential(aim, i, d)
         shrink = radius / length if length > radius else 1.0
-        out[x] -= shrink * aim[x]
-        out[n] -= normal
-        out[z] -= shrink * aim[z]
+        for j in range(d):
+            out[d * i + j] -= normal if j == 1 else shrink * aim[d * i + j]
     return out / laws.size
 
 
@@ -260,25 +280,26 @@ def _slope(laws: _Laws, p: Array, stiffness: float) -> Array:
     w, b, mu, mobility, _ = laws
     r = stiffness * mobility
     aim = p - r * (w @ p + b)
-    out = np.diag(1.0 / laws.size)
+    out, d = np.diag(1.0 / laws.size), len(p) // len(mu)
     for i in range(len(mu)):
-        x, n, z = 3 * i, 3 * i + 1, 3 * i + 2
+        x, n = d * i, d * i + 1
         if aim[n] <= 0.0:  # open: all impulses vanish
             continue
-        dx, dn, dz = -r[x] * w[x], -r[n] * w[n], -r[z] * w[z]
-        dx[x] += 1.0
-        dn[n] += 1.0
-        dz[z] += 1.0
-        length, radius = np.hypot(aim[x], aim[z]), mu[i] * aim[n]
+        turns = np.empty((d, len(p)))  # derivatives of the aims
+        for j in range(d):
+            turns[j] = -r[x + j] * w[x + j]
+            turns[j, x + j] += 1.0
+        length, radius = _tangential(aim, i, d), mu[i] * aim[n]
         if length > radius:  # slip along u
-            ux, uz = aim[x] / length, aim[z] / length
-            along = ux * dx + uz * dz
-            spread = radius / length
-            dx = spread * (dx - ux * along) + mu[i] * ux * dn
-            dz = spread * (dz - uz * along) + mu[i] * uz * dn
-        out[x] -= dx / laws.size[x]
-        out[n] -= dn / laws.size[n]
-        out[z] -= dz / laws.size[z]
+            u, along, spread = aim[x : x + d] / length, np.zeros(len(p)), radius / length
+            for j in range(d):
+                if j != 1:
+                    along += u[j] * turns[j]
+            for j in range(d):
+                if j != 1:
+                    turns[j] = spread * (turns[j] - u[j] * along) + mu[i] * u[j] * turns[1]
+        for j in range(d):
+            out[x + j] -= turns[j] / laws.size[x + j]
     return out
 
 

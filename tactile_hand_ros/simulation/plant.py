@@ -119,7 +119,8 @@ class Plant:
             self._reach = _REACH_BY_TOUCH
         self.solid = config.object.solid()
         inertia = config.object.inertia_about(self.solid)
-        self._world = World(self.hand.radii, self.solid.shape, config.object.mass, inertia)
+        tip, body = config.contact, (config.object.mass, inertia)
+        self._world = World(self.hand.radii, self.solid.shape, *body, tip.compliance, tip.torsion)
         self._weight = np.concatenate([config.object.mass * self._gravity, np.zeros(3)])
         self._initial_joints = self._expand(config.initial_joints)
         self._joint_sensor = JointSensor(
@@ -146,7 +147,7 @@ class Plant:
         self._steps = 0
         rotation = rotation_from_vector(c.rotation)
         start = self._initial_joints, np.array(c.position), rotation
-        self._now = self._closed(at_rest(*start, self.hand.fingers))
+        self._now = self._closed(at_rest(*start, self.hand.fingers, self._world.torsion))
         self.friction = np.full(self.hand.fingers, c.friction)
         self._torque = np.zeros(self.hand.joints)
         self._turn_palm(0.0)
@@ -296,7 +297,7 @@ class Plant:
             now.velocities[m : m + 3],
             now.velocities[m + 3 :],
             Contacts(points, frames),
-            impulses / self.config.time_step,
+            impulses[:, :3] / self.config.time_step,
             now.sliding,
             now.slid,
             gaps,

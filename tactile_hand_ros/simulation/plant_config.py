@@ -16,19 +16,23 @@ from tactile_hand_ros.rotations import Vector
 from tactile_hand_ros.simulation.joint_sensor import EncoderConfig
 from tactile_hand_ros.simulation.palm_motion import PalmTurn
 from tactile_hand_ros.simulation.skin import CalibrationConfig
-from tactile_hand_ros.simulation.solid import ConvexPolyhedron
+from tactile_hand_ros.simulation.solid import MAX_VERTICES, Solid
 
 _MAX_GYRATION = 10.0  # radius of gyration, relative to the reach of the object
-_MAX_VERTICES = 500  # each step searches all faces for each contact
 
 
 class ObjectConfig(Config):
     """The object in the hand: shape, mass and initial pose."""
 
-    size: Vector = param((0.2604, 0.2604, 0.2604), "edges of a box, without vertices", unit="m")
-    vertices: list[float] = param(
-        [], "corners x, y, z of a convex polyhedron", unit="m", max_length=3 * _MAX_VERTICES
+    shape: Literal["box", "cylinder", "sphere", "capsule"] = param(
+        "box", "shape without vertices and mesh; the axis of a cylinder or capsule is z"
     )
+    size: Vector = param((0.2604, 0.2604, 0.2604), "edges of the box around the shape", unit="m")
+    vertices: list[float] = param(
+        [], "corners x, y, z of a convex polyhedron", unit="m", max_length=3 * MAX_VERTICES
+    )
+    mesh: str = param("", "file with a closed surface, such as STL; its convex hull is touched")
+    scale: float = param(1.0, "meters per unit of the mesh", gt=0.0)
     mass: float = param(0.0018, "mass", unit="kg", gt=0.0)
     inertia: list[float] = param(
         [], "inertia about its axes, empty for a uniform body", unit="kg m^2", max_length=3
@@ -41,6 +45,7 @@ class ObjectConfig(Config):
     def _is_a_body(self) -> ObjectConfig:
         if min(self.size) <= 0.0:
             raise ValueError(f"size = {self.size}: all three edges must be positive")
+        self._check_shape()
         if len(self.vertices) % 3:
             raise ValueError(
                 f"vertices has {len(self.vertices)} numbers; expected x, y, z of every corner"
@@ -48,6 +53,21 @@ class ObjectConfig(Config):
         if self.inertia:
             self._check_inertia()
         return self
+
+    def _check_shape(self) -> None:
+        """Reject two shapes, and a size that a round shape cannot have."""
+        given = [self.shape != "box", bool(self.vertices), bool(self.mesh)]
+        if sum(given) > 1:
+            raise ValueError(
+                f"shape = {self.shape}, {len(self.vertices) // 3} vertices and mesh = "
+                f"'{self.mesh}': expected only one of a round shape, vertices and a mesh"
+            )
+        x, y, z = self.size
+        fits = {"sphere": x == y == z, "cylinder": x == y, "capsule": x == y <= z}
+        if not fits.get(self.shape, True):
+            wanted = {"sphere": "d, d, d", "cylinder": "d, d, length"}
+            wanted["capsule"] = "d, d, length with the caps"
+            raise ValueError(f"size = {self.size}: a {self.shape} has [{wanted[self.shape]}]")
 
     def _check_inertia(self) -> None:
         """Reject an inertia that is impossible, or far too large for this size and mass.
@@ -65,6 +85,8 @@ class ObjectConfig(Config):
                 f"inertia = {self.inertia}: no body has a principal inertia above the sum of the "
                 f"other two; lower {largest:g} to {sum(others):g} or less, or raise the others"
             )
+        if self.mesh:  # its reach is known only with the file
+            return
         corners = np.reshape(self.vertices, (-1, 3)) if self.vertices else np.array([self.size]) / 2
         reach = float(np.linalg.norm(corners, axis=1).max())
         largest = _MAX_GYRATION**2 * self.mass * reach**2
@@ -74,17 +96,21 @@ class ObjectConfig(Config):
                 f"from its center has more than {self.mass * reach**2:.2g} kg m^2; lower it"
             )
 
-    def solid(self) -> ConvexPolyhedron:
+    def solid(self) -> Solid:
         """Return the shape, in the frame of the center of mass.
 
         Raises:
-            ObjectModelError: If the vertices do not span a solid.
+            ObjectModelError: If the vertices do not span a solid, or the mesh cannot be used.
         """
+        if self.mesh:
+            return Solid.of_mesh(self.mesh, self.scale)
         if self.vertices:
-            return ConvexPolyhedron(np.reshape(self.vertices, (-1, 3)))
-        return ConvexPolyhedron.box(np.array(self.size))
+            return Solid(np.reshape(self.vertices, (-1, 3)))
+        if self.shape != "box":
+            return Solid.revolved(self.shape, self.size[0], self.size[2])
+        return Solid.box(np.array(self.size))
 
-    def inertia_about(self, solid: ConvexPolyhedron) -> NDArray[np.float64]:
+    def inertia_about(self, solid: Solid) -> NDArray[np.float64]:
         """Return the inertia of a shape about the object's axes, shape (3, 3), kg m^2.
 
         Raises:
@@ -93,6 +119,15 @@ class ObjectConfig(Config):
         if self.inertia:
             return np.diag(self.inertia)
         return self.mass * solid.gyration()
+
+
+class ContactConfig(Config):
+    """Softness of the fingertips; without it contact is rigid, and a point."""
+
+    compliance: float = param(0.0, "indentation of a soft tip per normal force", unit="m/N", ge=0.0)
+    torsion: float = param(
+        0.0, "largest moment about the normal per largest friction force", unit="m", ge=0.0
+    )
 
 
 class Disturbance(Config):
@@ -145,6 +180,7 @@ class PlantConfig(Config):
         [1.047, 0.0, 1.571], "joint angles at the start, for all joints or one finger", unit="rad"
     )
     object: ObjectConfig = ObjectConfig()
+    contact: ContactConfig = ContactConfig()
     gravity: Vector = param((0.0, 0.0, 0.0), "acceleration of gravity, palm frame", unit="m/s^2")
     calibration: CalibrationConfig = CalibrationConfig()
     encoder: EncoderConfig = EncoderConfig()

@@ -42,7 +42,8 @@ class Problem(NamedTuple):
     friction: Array
 
     def solve(self, guess: Array | None = None) -> ContactImpulses:
-        return solve_contacts(*self, np.zeros((len(self.friction), 3)) if guess is None else guess)
+        zero = np.zeros_like(self.free).reshape(len(self.friction), -1)
+        return solve_contacts(*self, zero if guess is None else guess)
 
 
 def one(free, friction, closing=0.0, delassus=np.eye(3)):
@@ -55,6 +56,11 @@ def one(free, friction, closing=0.0, delassus=np.eye(3)):
     [
         (one([0.3, -1.0, 0.4], 0.51), [-0.3, 1.0, -0.4], [0.0, 0.0, 0.0]),  # sticks
         (one([3.0, -1.0, 4.0], 0.5), [-0.3, 1.0, -0.4], [2.7, 0.0, 3.6]),  # slides
+        (
+            one([3.0, -1.0, 4.0, -12.0], 0.52, delassus=np.eye(4)),  # and turns
+            [-0.12, 1.0, -0.16, 0.48],
+            [2.88, 0.0, 3.84, -11.52],
+        ),
         (one([1.0, -1.0, 0.0], 0.0), [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]),  # without friction
         (one([3.0, 0.1, 4.0], 0.5), [0.0, 0.0, 0.0], [3.0, 0.1, 4.0]),  # separates
         (one([0.0, -0.9, 0.0], 0.5, 1.0), [0.0, 0.0, 0.0], [0.0, -0.9, 0.0]),  # closes in part

@@ -234,6 +234,19 @@ def test_a_scenario_that_does_not_fit_is_shown_as_text(
     assert document["assumptions"] == [] and document["scenario"] == text
 
 
+@pytest.mark.parametrize(
+    ("old", "new", "corners", "notes"),
+    [("mesh: ''", "mesh: gone.stl", 0, 1), ("shape: box", "shape: sphere", 614, 0)],
+)
+def test_a_mesh_that_is_elsewhere_is_not_drawn_and_a_round_object_is(
+    old: str, new: str, corners: int, notes: int, tmp_path: Path
+) -> None:
+    told = {"scenario": resolved(load_scenario("paper")).replace(old, new)}
+    document = run_document(Run(write_record(tmp_path / "bag", random_record(5), custom_data=told)))
+    assert len((document["object"] or {"vertices": []})["vertices"]) == corners
+    assert sum("object cannot be drawn: gone" in note for note in document["notes"]) == notes
+
+
 def test_the_hand_that_was_recorded_is_drawn(tmp_path: Path) -> None:
     """Even if the scenario names another one."""
     urdf = (

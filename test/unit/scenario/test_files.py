@@ -38,6 +38,21 @@ def test_a_law_may_be_named_in_four_ways(tmp_path):
             load_scenario(str(path))
 
 
+def test_a_mesh_is_next_to_the_scenario_or_below_the_working_directory(tmp_path, monkeypatch):
+    (tmp_path / "base.yaml").write_text("plant: {object: {mesh: parts/mug.stl, scale: 0.001}}\n")
+    (tmp_path / "deep").mkdir()
+    path, inherited = tmp_path / "deep" / "mine.yaml", str(tmp_path / "parts" / "mug.stl")
+    path.write_text("extends: ../base.yaml\nplant: {object: {mass: 0.3}}\n")
+    data = read_layers(path)
+    assert data["plant"]["object"] == {"mesh": inherited, "scale": 0.001, "mass": 0.3}
+    monkeypatch.chdir(tmp_path)
+    put_changes(data, {"plant.object.mesh": "cup.obj"})
+    assert data["plant"]["object"]["mesh"] == str(tmp_path / "cup.obj")
+    for text in ('plant: {object: {mesh: ""}}', "plant: 7", "plant: {object: 7}"):
+        path.write_text(text)
+        assert read_layers(path) == yaml.safe_load(text)
+
+
 def test_changes_are_put_where_their_keys_say():
     data = {"hand": "paper", "layout": "pinch", "plant": {"rate": 1.0}}
     changes = {"plant.rate": 2.0, "plant.object.mass": 3.0, "law.k_p": 4.0, "seed": 5}

@@ -19,6 +19,7 @@ from tactile_hand_ros.scenario import grasp_search
 from tactile_hand_ros.scenario.grasp_search import expected_friction, scenario_values, search
 from tactile_hand_ros.scenario.scenario import load_scenario
 from tactile_hand_ros.simulation.plant import Plant
+from tactile_hand_ros.simulation.plant_config import ObjectConfig
 
 DOWN = np.array([0.0, 0.0, -9.81])
 
@@ -32,6 +33,10 @@ def scenario(tmp_path, values, **more):
     file = tmp_path / "found.yaml"
     file.write_text(yaml.safe_dump(values))
     return load_scenario(str(file), more)
+
+
+def body_of(size, shape="box", mass=0.05):
+    return ObjectConfig(shape=shape, size=size, mass=mass, friction=0.5)
 
 
 def hand_file(tmp_path, joints, **more):
@@ -54,9 +59,9 @@ def test_what_is_found_touches_one_face_and_the_opposite_and_can_bear_its_load(
 ):
     name = hand_file(tmp_path, joints, **more)
     hand = Hand.load(name, gravity=DOWN)
-    best, *others = search(hand, size, 0.5)
+    best, *others = search(hand, body_of(size))
     assert all(best.load >= other.load for other in others)
-    plant = Plant(scenario(tmp_path, scenario_values(name, size, 0.5, 0.05, best)).plant)
+    plant = Plant(scenario(tmp_path, scenario_values(name, body_of(size), best)).plant)
     assert np.abs(plant.state.gaps).max() < 2e-4 and plant.state.contacts.all_touching
     inward = best.contacts.normals
     alone = [i for i in range(len(inward)) if (inward @ inward[i] < -0.999).sum() > 1]
@@ -82,10 +87,20 @@ def test_what_is_found_touches_one_face_and_the_opposite_and_can_bear_its_load(
     assert 0.95 < (np.abs(used) / spare).max() <= 1.0 + 1e-9
 
 
-def test_a_found_grasp_holds_at_the_first_try_and_bears_a_pull(tmp_path):
+@pytest.mark.parametrize(
+    ("shape", "size"),
+    [
+        ("box", (0.04, 0.04, 0.04)),
+        ("cylinder", (0.04, 0.04, 0.08)),
+        ("sphere", (0.05, 0.05, 0.05)),
+        ("capsule", (0.035, 0.035, 0.07)),
+    ],
+)
+def test_a_found_grasp_holds_at_the_first_try_and_bears_a_pull(tmp_path, shape, size):
     """Under gravity, with gains from the hand."""
-    best = search(Hand.load("human", gravity=DOWN), (0.04, 0.04, 0.04), 0.5)[0]
-    values = scenario_values("human", (0.04, 0.04, 0.04), 0.5, 0.1, best)
+    body = body_of(size, shape, 0.1)
+    best = search(Hand.load("human", gravity=DOWN), body)[0]
+    values = scenario_values("human", body, best)
     pull = [{"kind": "step", "start": 0.5, "force": [0.0, 0.0, -2.0]}]
     record = ClosedLoop(
         scenario(tmp_path, values, duration=1.0, **{"plant.disturbances": pull})
@@ -97,8 +112,8 @@ def test_a_found_grasp_holds_at_the_first_try_and_bears_a_pull(tmp_path):
 
 def test_without_a_grasp_it_says_why():
     hand = Hand.load("human", gravity=DOWN)
-    with pytest.raises(GraspError, match="box of 500 x 500 x 500 mm .* does not reach its face"):
-        search(hand, (0.5, 0.5, 0.5), 0.5)
+    with pytest.raises(GraspError, match="box of 500 x 500 x 500 mm .* does not reach its side"):
+        search(hand, body_of((0.5, 0.5, 0.5)))
 
 
 def test_the_command_writes_a_scenario_that_can_run_and_a_picture(tmp_path, capsys):

@@ -1,8 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Impossible scenarios are reported before the start, in one sentence."""
 
+import warnings
+
 import numpy as np
 import pytest
+import trimesh
 from support.hands import posture_for, write_hand
 
 from tactile_hand_ros.errors import (
@@ -140,3 +143,24 @@ def test_a_stiffness_that_takes_all_damping_by_its_delay_is_refused():
     check_scenario(load_scenario("human_hold", gains))
     with pytest.raises(ConfigurationError, match="k_o = 6 is unstable at 1000 Hz.*at most [1-5]"):
         check_scenario(load_scenario("human_hold", {**gains, "law.k_o": 6.0}))
+
+
+@pytest.mark.parametrize(("depth", "reported"), [(0.02, []), (0.0955, ["+13.9 %"])])
+def test_a_mesh_whose_hull_is_another_body_is_reported(tmp_path, depth, reported):
+    """A cube with a pyramid cut out of the face that no finger touches."""
+    cube = trimesh.creation.box((0.2604, 0.2604, 0.2604))
+    top = cube.face_normals[:, 2] > 0.5
+    ring = sorted(np.unique(cube.faces[top]), key=lambda i: np.arctan2(*cube.vertices[i, 1::-1]))
+    dent = [[ring[i - 1], ring[i], 8] for i in range(4)]
+    points = np.vstack([cube.vertices, [0.0, 0.0, 0.1302 - depth]])
+    mesh = trimesh.Trimesh(points, np.vstack([cube.faces[~top], dent]))
+    mesh.export(tmp_path / "dented.stl")
+    place = [0.0, 0.0, 0.4098 + float(mesh.center_mass[2])]
+    body = {"mesh": str(tmp_path / "dented.stl"), "inertia": [], "position": place}
+    scenario = load_scenario("paper", {f"plant.object.{key}": body[key] for key in body})
+    with warnings.catch_warnings(record=True) as seen:
+        warnings.simplefilter("always")
+        check_scenario(scenario)
+    texts = [text for each in seen if "convex hull" in (text := str(each.message))]
+    assert len(texts) == len(reported)
+    assert all(part in text for part, text in zip(reported, texts, strict=True))

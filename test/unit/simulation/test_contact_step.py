@@ -17,7 +17,7 @@ from tactile_hand_ros.simulation.contact_step import (
     observed,
     step,
 )
-from tactile_hand_ros.simulation.solid import ConvexPolyhedron
+from tactile_hand_ros.simulation.solid import Solid
 
 H = 1e-3
 MU = np.array([0.1, 0.6, 0.3])
@@ -170,7 +170,7 @@ def test_impacts_take_energy_and_do_not_rebound(friction, mass):
         speed = 10.0 ** random.uniform(-1.0, -0.3)
         inertia = tuple(0.01 * mass * random.uniform(1.0, 1.8, 3))
         scene = Scene(np.full(3, friction), object__mass=mass, object__inertia=inertia)
-        smaller = ConvexPolyhedron.box(0.2604 - random.uniform(2e-3, 3e-3, 3)).shape
+        smaller = Solid.box(0.2604 - random.uniform(2e-3, 3e-3, 3)).shape
         scene.world = scene.world._replace(shape=smaller)
         end = 0.7 * speed * random.standard_normal(15)
         for _ in range(15):
@@ -198,7 +198,7 @@ def test_only_what_touches_or_is_pushed_is_seen():
     on_face = 0.5 * size * faces + aside
     tips = position + (on_face + (radii + gaps)[:, None] * faces) @ rotation.T
     impulses = np.stack([np.full(6, 0.1), pushes, np.full(6, -0.1)], axis=1)
-    shape = ConvexPolyhedron.box(size).shape
+    shape = Solid.box(size).shape
     rows = np.zeros((6, 3, 6))
     rows[:, 0, 2], rows[:, 1, 1], rows[:, 2, 0] = 1.0, 1.0, -1.0
     now = at_rest(np.zeros(0), position, rotation, 6)._replace(impulses=impulses, rows=rows)

@@ -110,9 +110,9 @@ def test_contact_forces_balance_both_sides(friction):
     assert np.abs(reaction).max() > 1.0
 
 
-def work_and_energy(step):
+def work_and_energy(step, shape):
     """Return the energy gain of a sticking grasp, and the work of the joints."""
-    world = plant(step, object__mass=0.2, gravity=(0.0, 0.0, -1.0))
+    world = plant(step, object__mass=0.2, gravity=(0.0, 0.0, -1.0), object__shape=shape)
     pushes = np.array([[-3.0, 0.4, 0.3], [3.0, 0.4, 0.3], [0.0, -0.6, 0.3]])
     torque, start, before = torque_for(world, pushes), world.state.theta, energy_of(world)
     for _ in range(round(0.25 / step)):
@@ -122,11 +122,12 @@ def work_and_energy(step):
     return energy_of(world) - before, torque @ (state.theta - start)
 
 
-def test_a_stuck_grasp_neither_gains_nor_loses_energy():
+@pytest.mark.parametrize("shape", ["box", "cylinder", "sphere"])
+def test_a_stuck_grasp_neither_gains_nor_loses_energy(shape):
     """Sticking and rolling contacts do no work: the energy is the joints' work, better with h."""
     errors = []
     for step in (0.002, 0.001, 0.0005):
-        gained, work = work_and_energy(step)
+        gained, work = work_and_energy(step, shape)
         errors.append(abs(gained - work) / abs(work))
     assert errors[1] < 1e-4
     assert errors[1] < 0.35 * errors[0] and errors[2] < 0.35 * errors[1]
@@ -183,9 +184,10 @@ def test_a_finger_lifts_off_and_comes_back():
     assert deepest > -2e-4 and abs(state.gaps[2]) < 1e-5
 
 
-def test_contacts_roll_equally_far_over_tip_and_face():
+@pytest.mark.parametrize("shape", ["box", "cylinder", "sphere"])
+def test_contacts_roll_equally_far_over_tip_and_object(shape):
     """(6): without slip the contact point travels the same arc over the sphere and the object."""
-    world = plant(0.0005, object__mass=0.2)
+    world = plant(0.0005, object__mass=0.2, object__shape=shape)
     pushes = np.array([[-3.0, 0.5, 0.4], [3.0, 0.5, 0.4], [0.0, -0.6, 0.2]])
     torque, names = torque_for(world, pushes), [f"finger_{i}_tip" for i in (1, 2, 3)]
 
