@@ -86,7 +86,9 @@ class DriverOutputNode(TactileNode[DriverOutputConfig]):
             raise MessageError(two_senders(names.JOINT_COMMAND))
         stamp, (torque,) = self._torques.decode(data)
         age, limit = self._newest - stamp, self.config.age_limit
-        if self._newest < 0 or abs(age) > limit * self._tick:  # below 0 if joint states are late
+        if self._newest < 0:
+            raise MessageError("no joint_states yet, expected them before any command.")
+        if abs(age) > limit * self._tick:  # below 0 if joint states are late
             raise MessageError(
                 f"the command is {1e-6 * age:.3f} ms older than the newest joint_states, expected "
                 f"at most {limit} ticks older or newer; check stamps, rate and the computer's load."
@@ -120,8 +122,8 @@ def driver_message(driver: DriverConfig, joints: Sequence[str]) -> tuple[Any, En
     holder, (*parents, last) = message, driver.field.split(".")
     for parent in parents:
         holder = getattr(holder, parent, None)
-    found = getattr(holder, "get_fields_and_field_types", dict)().get(last)
-    if found not in ("sequence<float>", "sequence<double>"):
+    fields: dict[str, str] = getattr(holder, "get_fields_and_field_types", dict)()
+    if fields.get(last) not in ("sequence<float>", "sequence<double>"):
         raise ConfigurationError(
             f"driver.field is '{driver.field}', expected a float array of {name}, which has "
             f"{', '.join(kind.get_fields_and_field_types())}."

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import time
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -42,12 +43,11 @@ class Driver:
         self.here, self.sent, user, qos = here, 0, here.user, tick_qos()
         self.name = f"{kind.__module__.split('.')[0]}/msg/{kind.__name__}"
         self.end = subscribe_directly(user, kind, "command", qos)
-        joints = user.create_publisher(JointState, "joint_states", qos)
+        self.joints = user.create_publisher(JointState, "joint_states", qos)
         self.senders = [user.create_publisher(JointState, "joint_command", qos) for _ in "ab"]
         here.wait(self.end.get_publisher_count, "the output")
-        for each in (joints, *self.senders):
+        for each in (self.joints, *self.senders):
             here.wait(each.get_subscription_count, each.topic_name)
-        joints.publish(joint_message(["arm", *JOINTS[::-1]], TICK, position=[9.0, *THETA[::-1]]))
 
     def command(
         self, late: int = 0, torque: Any = TORQUE, names: Any = JOINTS, by: int = 0
@@ -67,7 +67,9 @@ class Driver:
         return [STORE.deserialize_cdr(data, self.name) for data, _ in taken(self.end)]
 
     def answer(self) -> Any:
-        """Send a command until one is answered: the joint states may arrive later."""
+        """Send joint states, and a command until one is answered: it may arrive before them."""
+        states = joint_message(["arm", *JOINTS[::-1]], TICK, position=[9.0, *THETA[::-1]])
+        self.joints.publish(states)
         return self.here.wait(lambda: self.command() or self.received(), "an answer")[-1]
 
 
@@ -77,7 +79,12 @@ def test_a_driver_receives_positions_in_its_type(
 ) -> None:
     choice = {"output": "position", "message": message}
     kind, _ = driver_message(DriverConfig(**choice), JOINTS)
-    got = Driver(here, tmp_path, 0.1, kind, stiffness=2.0, **choice).answer()
+    driver = Driver(here, tmp_path, 0.1, kind, stiffness=2.0, **choice)
+    (silence,) = (t for t in driver.node.timers if t.timer_period_ns == 30_000_000_000)
+    end = time.monotonic_ns() + silence.time_until_next_call()
+    got = driver.answer()
+    later = time.monotonic_ns() + silence.time_until_next_call() - end
+    assert later > 1_000_000  # ns: the command has put off the end of patience
     values = got.position if message == "joint_state" else got.data
     np.testing.assert_allclose(values, THETA + TORQUE / 2.0, rtol=1e-6)
     if message == "joint_state":
@@ -106,6 +113,9 @@ def test_unusable_commands_are_counted_and_never_sent(here: Process, tmp_path: P
     """Meanwhile, from three ticks of 10 ms after the last good one on, the driver receives 0."""
     driver = Driver(here, tmp_path, 100.0, JointState)
     node, wait = driver.node, here.wait
+    node.to_safe_state("no command yet")
+    driver.command(late=TICK)  # without joint states
+    assert driver.rejected() == 1 and "fault hold" not in facts(node) and not driver.received()
     np.testing.assert_array_equal(driver.answer().effort, TORQUE)
     before, _ = driver.rejected(), driver.received()
     wait(lambda: any(not m.effort.any() for m in driver.received()), "zeros")
