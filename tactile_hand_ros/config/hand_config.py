@@ -5,8 +5,9 @@ from __future__ import annotations
 
 from importlib import metadata
 from pathlib import Path
+from typing import Annotated, Any, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field, field_validator, model_validator
 
 from tactile_hand_ros.config.model import Config, load_yaml, param
 from tactile_hand_ros.config.plain_yaml import find_file
@@ -14,7 +15,11 @@ from tactile_hand_ros.errors import HandModelError
 
 _NAME = "^[A-Za-z_][A-Za-z0-9_]{0,59}$"
 """Names that are valid in a ROS topic."""
+_TOPIC = "^(/?[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*)?$"
+_MESSAGE = "^(joint_state|float64_array|[a-z][a-z0-9_]*/msg/[A-Z][A-Za-z0-9]*)$"
 _MOST_FINGERS = 32
+
+Gains = dict[str, Annotated[float, Field(gt=0.0)]]  # by joint; `*` stands for all
 
 
 class FingerConfig(Config):
@@ -59,6 +64,26 @@ class MountConfig(Config):
     rpy: tuple[float, float, float] = param((0.0, 0.0, 0.0), "fixed-axis angles", unit="rad")
 
 
+class DriverConfig(Config):
+    """What the hand's driver takes instead of torques; the laws are in `control.driver_output`."""
+
+    topic: str = param("", "topic of the driver's commands", pattern=_TOPIC)
+    output: Literal["position", "velocity", "current", "effort"] = param("effort", "what it takes")
+    message: str = param("joint_state", "joint_state, float64_array or a type", pattern=_MESSAGE)
+    field: str = param("data", "array in a message of another type, dots for nested fields")
+    names: dict[str, str] = param({}, "the driver's name of each joint, in the driver's order")
+    fixed: dict[str, float] = param({}, "angle of joints that we do not move", unit="rad or m")
+    degrees: bool = param(False, "whether positions and velocities are sent in degrees")
+    stiffness: Gains = param({}, "stiffness of the position servos", unit="N m/rad")
+    damping: Gains = param({}, "torque per speed of the velocity servos", unit="N m s/rad")
+    torque_constant: Gains = param({}, "torque per unit of the driver's current", unit="N m/A")
+
+    @field_validator("stiffness", "damping", "torque_constant", mode="before")
+    @classmethod
+    def _one_for_all(cls, value: Any) -> Any:
+        return value if isinstance(value, dict | bool) else {"*": value}
+
+
 class HandConfig(Config):
     """A hand: any URDF or MJCF with at least two fingers."""
 
@@ -81,6 +106,7 @@ class HandConfig(Config):
     couplings: dict[str, Coupling] = Field(
         default_factory=dict, description="couplings that replace <mimic>, by follower"
     )
+    driver: DriverConfig = DriverConfig()
     default_layout: str = param("", "layout used when none is asked for")
     layouts: dict[str, dict[str, MountConfig]] = Field(
         default_factory=dict, description="placements of fixed joints, by layout and joint"

@@ -139,6 +139,5 @@ def message_class(type_name: str) -> Any:
         return getattr(importlib.import_module(f"{package}.msg"), name)
     except (ImportError, AttributeError, LookupError, OSError):
         raise BagError(
-            f"The message type '{type_name}' is not installed; install or source its package to "
-            "record its topics."
+            f"The message type '{type_name}' is not installed; install or source its package."
         ) from None

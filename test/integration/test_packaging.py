@@ -20,6 +20,7 @@ PACKAGE = "tactile_hand_ros"
 EXECUTABLES = [
     "composed",
     "controllers",
+    "driver_output",
     "force_optimizer",
     "manipulation_controller",
     "orchestrator",

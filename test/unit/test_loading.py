@@ -31,6 +31,7 @@ UNNEEDED = {
     "recorder": NODE | MODEL | SOLVER | PLANT | COMPILER,
     "composed": NODE,
     "controllers": NODE,
+    "driver_output": NODE | SOLVER | PLANT,
     # It checks the scenario, but a single call need not be compiled.
     "orchestrator": FIGURES | COMPILER,
 }

@@ -8,6 +8,7 @@ from typing import Literal, get_args, get_origin
 import pytest
 
 from tactile_hand_ros.config.model import leaves
+from tactile_hand_ros.nodes.driver_output import DriverOutputConfig
 from tactile_hand_ros.nodes.recorder.config import RecorderConfig
 from tactile_hand_ros.scenario.scenario import Scenario
 
@@ -16,6 +17,7 @@ SHARED = ("hand", "layout", "gravity", "calibration", "seed", "duration")
 NODES = ("plant", "tactile_sensor", "slip_regulator", "force_optimizer", "manipulation_controller")
 MODELS = {name: Scenario.model_fields[name].annotation for name in NODES}
 MODELS["recorder"] = RecorderConfig
+MODELS["driver_output"] = DriverOutputConfig
 SIGNS = {"Ge": "≥", "Gt": ">", "Le": "≤", "Lt": "<"}
 
 
