@@ -193,13 +193,27 @@ def stalls(
     _finish(out, [], (title, s.COLUMNS, s.rows(table)))
 
 
+def hands(
+    out: OutOption = Path("hands"),
+    jobs: JobsOption = -1,
+) -> None:
+    """Search for grasps with five hands that exist, and hold, move, turn and pull objects."""
+    from studies import hands as h
+
+    check_writable(out)
+    with workers(jobs):
+        found = list(in_parallel(h.tried, h.PAIRS))
+    out.mkdir(parents=True, exist_ok=True)
+    _finish(out, [], ("hands", h.COLUMNS, found))
+
+
 app = typer.Typer(
     help="Many runs on all cores, ending in figures and a table.",
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
-for _command in (slip, invariance, loads, faults, fuzz, stalls):
+for _command in (slip, invariance, loads, faults, fuzz, stalls, hands):
     app.command()(_command)
 
 

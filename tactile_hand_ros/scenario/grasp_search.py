@@ -48,6 +48,10 @@ _MIDDLE = 0.03  # weight of joint angles in the middle of their range
 _OUTSIDE = 0.9  # of the range of a joint, from which more is avoided
 _NO_SPAN = 1e-9  # rad or m, range of a joint that cannot move
 _TOUCH = 1e-4  # m; further away, a tip does not touch
+_BITS = 14  # of the encoders, as most hands have
+_COMPLIANCE = (
+    5e-5  # m/N, of tips of hard rubber; between rigid ones, bearings share forces by chance
+)
 
 
 @dataclass(frozen=True)
@@ -139,6 +143,8 @@ def scenario_values(hand: str, body: ObjectConfig, found: FoundGrasp) -> dict[st
         "layout": "",
         "targets": [],
         "plant": {
+            "encoder": {"bits": _BITS},
+            "contact": {"compliance": _COMPLIANCE},
             "initial_joints": _rounded(found.theta),
             "object": {
                 "shape": body.shape,

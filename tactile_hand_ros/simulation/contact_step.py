@@ -21,6 +21,7 @@ Array = NDArray[np.float64]
 
 TOUCH = 1e-6  # gap below which a finger counts as touching, m
 NEAR = 2e-3  # gap below which a contact is part of the problem of a step, m
+_SHEAR = 1.5  # tangential per normal compliance of an incompressible tip (Mindlin 1949)
 _RECOVERY = 0.2  # fraction of a penetration that a step removes
 _FASTEST_RECOVERY = 5e-3  # m/s, its largest speed, so that the object does not fly off
 
@@ -208,8 +209,8 @@ def step(
     if c > 0:
         delassus, before, mu = rows @ inverse_times, rows @ free, friction[near]
         turn = turning[near].reshape(d * c)
-        for i in range(c):  # an implicit spring: the gap after the step is -compliance p / h
-            delassus[d * i + 1, d * i + 1] += world.compliance / h**2
+        if world.compliance > 0.0:
+            _soften(delassus, before, start, world.compliance / h**2)
         solved = solve_contacts(delassus, before + turn, closing, mu, start)
         struck = bool(((solved.impulses[:, 1] > 0.0) & ~now.settled[near]).any())
         if (struck or solved.outcome != EXACT) and turn.any():
@@ -219,6 +220,8 @@ def step(
         for i in range(c):
             j = near[i]
             impulses[j], sliding[j] = solved.impulses[i], solved.velocities[i, :3:2]
+            if world.compliance > 0.0:  # the rest of the motion is elastic
+                slid[j] = now.slid[j] + h * np.hypot(sliding[j, 0], sliding[j, 1])
             indentation = world.compliance * impulses[j, 1] / h
             settled[j] = impulses[j, 1] > 0.0 and abs(gaps[j] + indentation) < TOUCH
         residual, outcome = solved.residual, solved.outcome
@@ -228,6 +231,28 @@ def step(
     rotation = 1.5 * rotation - 0.5 * (rotation @ (rotation.T @ rotation))
     contacts = every, impulses, sliding, settled, slid, residual, outcome
     return Motion(theta, free, position, rotation, free if struck else v, *contacts)
+
+
+@compiled
+def _soften(delassus: Array, before: Array, start: Array, softness: float) -> None:
+    """Put implicit springs into the contacts, in place.
+
+    The gap after the step is -compliance p_n / h. Tangential impulses change by springs from those
+    of the last step, so that the velocities of the solution are those of slip alone.
+
+    Args:
+        delassus: W, shape (dc, dc), 1/kg.
+        before: Velocities without impulses, shape (dc,), m/s.
+        start: Impulses of the last step, shape (c, d), N s.
+        softness: Normal compliance over h^2, 1/kg.
+    """
+    c, d = start.shape
+    for i in range(c):
+        for j in range(d):
+            at, soft = d * i + j, softness if j == 1 else _SHEAR * softness
+            delassus[at, at] += soft
+            if j != 1:
+                before[at] -= soft * start[i, j]
 
 
 @compiled

@@ -124,7 +124,12 @@ class ObjectConfig(Config):
 class ContactConfig(Config):
     """Softness of the fingertips; without it contact is rigid, and a point."""
 
-    compliance: float = param(0.0, "indentation of a soft tip per normal force", unit="m/N", ge=0.0)
+    compliance: float = param(
+        0.0,
+        "indentation of a soft tip per normal force; its shear is 1.5 times as soft",
+        unit="m/N",
+        ge=0.0,
+    )
     torsion: float = param(
         0.0, "largest moment about the normal per largest friction force", unit="m", ge=0.0
     )

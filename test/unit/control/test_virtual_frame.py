@@ -103,7 +103,6 @@ def test_points_on_a_line_have_no_frame():
         frame.orientation(line)
 
 
-
 @given(rotations, rotations)
 def test_orientation_error_is_the_papers_sum_of_cross_products(actual, desired):
     expected = np.cross(actual.T, desired.T).sum(axis=0)
