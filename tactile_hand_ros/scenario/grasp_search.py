@@ -301,7 +301,7 @@ class _RoundProblem(_Problem):
         return distances - self._hand.radii, -outward
 
     def _facing(self, tips: Array, normals: Array) -> Array:
-        """Return by how much both sides miss the center of mass, and normals do not balance."""
+        """Return by how much both sides miss the line of action through the center of mass."""
         sides = np.array([tips[self._alone], tips[self._others].mean(axis=0)]) / self._scale
-        alone, others = normals[self._alone], normals[self._others].mean(axis=0)
-        return np.append(sides - np.outer(sides @ alone, alone), alone + others)
+        along = np.outer(sides @ normals[self._alone], normals[self._alone])
+        return np.asarray(sides - along).ravel()
