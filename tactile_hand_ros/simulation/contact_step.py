@@ -22,6 +22,7 @@ Array = NDArray[np.float64]
 TOUCH = 1e-6  # gap below which a finger counts as touching, m
 NEAR = 2e-3  # gap below which a contact is part of the problem of a step, m
 _RECOVERY = 0.2  # fraction of a penetration that a step removes
+_CREEP = 1e-6  # of the spin that a moment alone causes: opposed moments have one answer
 _FASTEST_RECOVERY = 5e-3  # m/s, its largest speed, so that the object does not fly off
 
 
@@ -210,6 +211,8 @@ def step(
         turn = turning[near].reshape(d * c)
         for i in range(c):  # an implicit spring: the gap after the step is -compliance p / h
             delassus[d * i + 1, d * i + 1] += world.compliance / h**2
+            if d == 4:
+                delassus[d * i + 3, d * i + 3] *= 1.0 + _CREEP
         solved = solve_contacts(delassus, before + turn, closing, mu, start)
         struck = bool(((solved.impulses[:, 1] > 0.0) & ~now.settled[near]).any())
         if (struck or solved.outcome != EXACT) and turn.any():
