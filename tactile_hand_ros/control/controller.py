@@ -16,6 +16,7 @@ from tactile_hand_ros.control.holds import (
     JointRates,
     bearable_fraction,
     fitted_gains,
+    motions_of_object,
     required_bandwidth,
     spring,
     stiffest,
@@ -43,6 +44,7 @@ _NOT_FINITE = "the law gives no finite torque; holding until its inputs are plau
 _LONGEST_GAP = 0.05  # s; after a longer pause a tick integrates and moves no more than this
 _SHORTEST_LEVER = 1e-6  # m, far below any hand's; keeps the linear system regular
 _MOVES_UNTIL = 0.8  # fraction of the limit of k_f at which a move stops, before the load grows
+_FEWEST_MOTIONS = 3  # of the object, so that a pose can be controlled: those of its position
 _LONGEST_PERIOD = 0.01  # s between ticks, assumed before the second tick
 
 LEAST_ROOM = 0.1
@@ -249,6 +251,7 @@ class Controller:
 
     def _new_grasp(self) -> None:
         self.warning, self._fitted_to, self._fitted_fingers = "", 0.0, 0
+        self._keeps_posture = False
         # Bandwidth that a hold needs per root of k_f, and its bandwidth, rad/s.
         self._required: tuple[float, float] | None = None
 
@@ -396,6 +399,9 @@ class Controller:
             )
         except GraspError as error:
             return self._holding(theta, rates, str(error), applied=applied)
+        if self._keeps_posture:
+            held = self._spring(theta, rates)
+            parts = parts._replace(drive=held, damping=np.zeros(len(held)))
         total = parts.total
         # One check for all torques: the square overflows only beyond those of any joint.
         if not math.isfinite(total.dot(total)):
@@ -569,6 +575,9 @@ class Controller:
     def _fit(self, theta: Array, contacts: Contacts, optimal_forces: Array) -> None:
         """Fit the gains that are not given to the hand, its tick period and its fingers.
 
+        A gripper, or a hand that cannot place the object for want of joints, keeps its posture
+        instead, by the spring of a hold: joint angles are newer than touch.
+
         This takes milliseconds, so a finger that loses and regains contact does not repeat it.
         """
         fingers, c = self._fingers.fingers, self.config
@@ -582,6 +591,8 @@ class Controller:
         ages = c.touch_latency, c.law.observer.time
         how = forces, self._period, *ages, c.hold.resolution, c.command_delay
         self._law.fit(fitted_gains(self._fingers, theta, contacts, *how))
+        if motions_of_object(self._fingers, theta, contacts) < _FEWEST_MOTIONS:
+            self._keeps_posture, self._posture = True, theta.copy()
 
     def _judge_hold(
         self, theta: Array, contacts: Contacts, optimal_forces: Array, grasp_force: float

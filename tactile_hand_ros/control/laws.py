@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import field_validator
 
-from tactile_hand_ros.compiled import compiled
 from tactile_hand_ros.config.model import Config, param
 from tactile_hand_ros.control.contact import Contacts, centroid, in_palm, joint_torques
 from tactile_hand_ros.control.grasp import VirtualFrame, pose_error, wrench_forces
@@ -29,6 +28,13 @@ _OWN_NAME = re.compile(r"[^\W\d]\w*(\.[^\W\d]\w*)*:[^\W\d]\w*")
 class IntegralConfig(Config):
     """Integral action of Remark 1; a gain of zero switches it off."""
 
+    time: float = param(
+        0.0,
+        "time in which it adds as much as a fitted gain, 0 for none",
+        unit="s",
+        live=True,
+        ge=0.0,
+    )
     k_p: float = param(0.0, "gain on the position error", unit="N/(m s)", live=True, ge=0.0)
     k_o: float = param(0.0, "gain on the orientation error", unit="N m/(rad s)", live=True, ge=0.0)
     force_limit: float = param(5.0, "largest integral force", unit="N", live=True, ge=0.0)
@@ -226,7 +232,8 @@ class ManipulationLaw:
         self.config = config
         self._law = (self._factory or law_of(config))(config, self._radii)
         self._gains = np.repeat([config.k_p, config.k_o], 3)
-        self._integrates = config.integral.k_p > 0.0 or config.integral.k_o > 0.0
+        c = config.integral
+        self._integrates = max(c.k_p, c.k_o, c.time) > 0.0
         if not self._integrates:
             self._integral[:] = 0.0
         if config.observer.time == 0.0:
@@ -319,12 +326,13 @@ class ManipulationLaw:
         """
         c = self.config
         error = pose_error(*auxiliary, target.position, target.orientation)
-        self._integrate(error, dt)
-        wrench, damping = self._gains * error, c.damping * rates
+        wrench, damping, pull = self._gains * error, c.damping * rates, np.zeros(6)
         if self._fitted is not None and not self.fits:
             fitted_damping, stiffness = self._fitted.at(grasp_force)
-            wrench = np.where(self._gains > 0.0, wrench, stiffness @ error)
+            pull = stiffness @ error
+            wrench = np.where(self._gains > 0.0, wrench, pull)
             damping = damping if c.damping > 0.0 else fitted_damping @ rates
+        self._integrate(error, pull, dt)
         law = self._law
         law.seen = LawInput(tips, contacts, optimal_forces, grasp_force)
         carried = self._carried(contacts, forces, dt)
@@ -342,21 +350,18 @@ class ManipulationLaw:
         passed = dt if self.acts else np.inf
         return self._integral + self._observer.step(c.observer, contacts, forces, passed)
 
-    def _integrate(self, error: Array, dt: float) -> None:
-        """Integrate the error; force and torque are each held inside their limit (anti-windup)."""
+    def _integrate(self, error: Array, pull: Array, dt: float) -> None:
+        """Integrate the error; force and torque are each held inside their limit (anti-windup).
+
+        `pull` is the wrench of fitted gains for it. A part without a gain is zero.
+        """
         if not (self._integrates and self.acts):
             return
         c = self.config.integral
-        _integrate(self._integral, error, c.k_p, c.k_o, dt)
+        gains, fitted = np.repeat([c.k_p, c.k_o], 3), 1.0 / c.time if c.time > 0.0 else 0.0
+        added = gains * dt * error + fitted * dt * pull
+        self._integral = np.where(gains + fitted > 0.0, self._integral + added, 0.0)
         limit_wrench(self._integral, c.force_limit, c.torque_limit)
-
-
-@compiled
-def _integrate(integral: Array, error: Array, k_p: float, k_o: float, dt: float) -> None:
-    """Integrate an error, shape (6,), over dt in s; a part without a gain is zero."""
-    for i in range(6):
-        gain = k_p if i < 3 else k_o
-        integral[i] = integral[i] + gain * dt * error[i] if gain != 0.0 else 0.0
 
 
 class KawamuraLaw:

@@ -229,10 +229,6 @@ class _Problem:
         gaps = self._sides * tips[:, self._axis] - self._half[self._axis] - self._hand.radii
         return gaps, -self._sides[:, None] * np.eye(3)[self._axis]
 
-    def _sideways(self, tips: Array) -> Array:
-        """Return how far contacts are from the middles between edges, of shape (k, n), m."""
-        return np.asarray(np.abs(tips[:, self._across]))
-
     def _facing(self, tips: Array, normals: Array) -> Array:
         """Return how far the finger that is alone is from facing the others, any shape."""
         others = tips[self._others][:, self._across].mean(axis=0)
@@ -241,7 +237,7 @@ class _Problem:
     def _residuals(self, x: Array) -> Array:
         tips, turn, theta = self._seen(x)
         hand, (gaps, normals) = self._hand, self._touched(tips)
-        sideways = self._sideways(tips) - (1.0 - _EDGE) * self._edges
+        sideways = np.abs(tips[:, self._across]) - (1.0 - _EDGE) * self._edges
         tops = hand.tip_rotations(theta)[:, :, 0]
         lean = _TOP - (tops * (normals @ turn.T)).sum(axis=1)
         apart = [
@@ -268,7 +264,7 @@ class _Problem:
         if np.abs(gaps).max() > _TOUCH:
             worst = hand.finger_names[int(np.abs(gaps).argmax())]
             return None, f"{worst} does not reach its side"
-        if (self._sideways(tips) > self._edges).any():
+        if (np.abs(tips[:, self._across]) > self._edges).any():
             return None, "a contact is beyond an edge"
         points = x[-6:-3] + tips @ turn.T + hand.radii[:, None] * normals
         contacts = Contacts(points, np.array([contact_frame(normal) for normal in normals]))
@@ -313,7 +309,7 @@ class _RoundProblem(_Problem):
         return distances - self._hand.radii, -outward
 
     def _facing(self, tips: Array, normals: Array) -> Array:
-        """Return by how much both sides miss the center of mass, and normals do not balance."""
+        """Return by how much both sides miss the line of action through the center of mass."""
         sides = np.array([tips[self._alone], tips[self._others].mean(axis=0)]) / self._scale
-        alone, others = normals[self._alone], normals[self._others].mean(axis=0)
-        return np.append(sides - np.outer(sides @ alone, alone), alone + others)
+        along = np.outer(sides @ normals[self._alone], normals[self._alone])
+        return np.asarray(sides - along).ravel()

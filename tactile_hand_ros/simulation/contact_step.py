@@ -23,6 +23,7 @@ TOUCH = 1e-6  # gap below which a finger counts as touching, m
 NEAR = 2e-3  # gap below which a contact is part of the problem of a step, m
 _SHEAR = 1.5  # tangential per normal compliance of an incompressible tip (Mindlin 1949)
 _RECOVERY = 0.2  # fraction of a penetration that a step removes
+_CREEP = 1e-6  # of the spin that a moment alone causes: opposed moments have one answer
 _FASTEST_RECOVERY = 5e-3  # m/s, its largest speed, so that the object does not fly off
 
 
@@ -211,6 +212,9 @@ def step(
         turn = turning[near].reshape(d * c)
         if world.compliance > 0.0:
             _soften(delassus, before, start, world.compliance / h**2)
+        elif d == 4:
+            for i in range(c):
+                delassus[d * i + 3, d * i + 3] *= 1.0 + _CREEP
         solved = solve_contacts(delassus, before + turn, closing, mu, start)
         struck = bool(((solved.impulses[:, 1] > 0.0) & ~now.settled[near]).any())
         if (struck or solved.outcome != EXACT) and turn.any():

@@ -56,18 +56,19 @@ class ObjectConfig(Config):
 
     def _check_shape(self) -> None:
         """Reject two shapes, and a size that a round shape cannot have."""
-        given = [self.shape != "box", bool(self.vertices), bool(self.mesh)]
-        if sum(given) > 1:
+        if (self.shape != "box") + bool(self.vertices) + bool(self.mesh) > 1:
             raise ValueError(
                 f"shape = {self.shape}, {len(self.vertices) // 3} vertices and mesh = "
                 f"'{self.mesh}': expected only one of a round shape, vertices and a mesh"
             )
         x, y, z = self.size
-        fits = {"sphere": x == y == z, "cylinder": x == y, "capsule": x == y <= z}
-        if not fits.get(self.shape, True):
-            wanted = {"sphere": "d, d, d", "cylinder": "d, d, length"}
-            wanted["capsule"] = "d, d, length with the caps"
-            raise ValueError(f"size = {self.size}: a {self.shape} has [{wanted[self.shape]}]")
+        expected, fits = {
+            "cylinder": ("d, d, length", x == y),
+            "sphere": ("d, d, d", x == y == z),
+            "capsule": ("d, d, length with the caps", x == y <= z),
+        }.get(self.shape, ("", True))
+        if not fits:
+            raise ValueError(f"size = {self.size}: a {self.shape} has [{expected}]")
 
     def _check_inertia(self) -> None:
         """Reject an inertia that is impossible, or far too large for this size and mass.

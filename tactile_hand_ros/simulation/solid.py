@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +13,6 @@ from tactile_hand_ros.errors import ObjectModelError
 from tactile_hand_ros.extras import optional
 
 Array = NDArray[np.float64]
-Round = Literal["cylinder", "sphere", "capsule"]
 
 MAX_VERTICES = 500
 """Each step searches all faces for each contact."""
@@ -70,7 +69,7 @@ def closest_point(shape: Shape, point: Array) -> tuple[float, Array]:
 
 @compiled
 def _closest_on_round(profile: Array, point: Array) -> tuple[float, Array]:
-    """Find the closest point in the half plane through axis and point, where all is flat."""
+    """Find the closest point in the half plane through axis and point."""
     x, y, z = point
     radius = np.hypot(x, y)
     u, v = radius - profile[0], abs(z) - profile[1]  # beyond side and end of the rectangle
@@ -160,25 +159,20 @@ class Solid:
         return cls(signs * half, np.column_stack([normals, -np.abs(normals) @ half]))
 
     @classmethod
-    def revolved(cls, kind: Round, diameter: float, length: float) -> Solid:
-        """Return a body that is round about z, centered at the origin.
+    def revolved(cls, kind: str, diameter: float, length: float) -> Solid:
+        """Return a body that is round about z and centered at the origin; lengths in m.
 
-        Args:
-            kind: A capsule is a cylinder with hemispheres as ends, and a sphere a capsule as long
-                as wide.
-            diameter: In m.
-            length: With the ends, m.
+        A capsule is a cylinder with hemispheres as ends, and a sphere a capsule as long as wide.
         """
         radius, rounding = 0.5 * diameter, 0.0 if kind == "cylinder" else 0.5 * diameter
         profile = np.array([radius - rounding, 0.5 * length - rounding, rounding])
         bends = np.linspace(0.0, 0.5 * np.pi, 1 + _DRAWN // 4) if rounding else np.zeros(1)
         turns = np.linspace(0.0, 2.0 * np.pi, _DRAWN, endpoint=False)
-        across = np.outer(profile[0] + rounding * np.cos(bends), [np.cos(turns), np.sin(turns)])
-        x, y = across.reshape(-1, 2, _DRAWN).transpose(1, 0, 2)
-        z = np.repeat((profile[1] + rounding * np.sin(bends))[:, None], _DRAWN, axis=1)
-        half = np.stack([x, y, z], axis=2).reshape(-1, 3)
+        across, up = profile[:2, None] + rounding * np.array([np.cos(bends), np.sin(bends)])
+        circle = np.array([np.cos(turns), np.sin(turns)]).T
+        rings = [np.insert(u * circle, 2, v, axis=1) for u, v in zip(across, up, strict=True)]
         # Rounded, since the corners at a pole are the same.
-        corners = np.vstack([half, half * [1.0, 1.0, -1.0]]).round(15)
+        corners = np.vstack([*rings, *(ring * [1.0, 1.0, -1.0] for ring in rings)]).round(15)
         solid = cls(np.unique(corners, axis=0), gyration=_round_gyration(radius, profile))
         solid.edges = solid._lines(profile[1])
         solid.shape = solid.shape._replace(profile=profile)
@@ -218,27 +212,14 @@ class Solid:
     def gyration(self) -> Array:
         """Return the inertia of the uniform body per mass about the origin, shape (3, 3), m^2.
 
+        A polyhedron is made of tetrahedra from the origin to triangles of its faces, of volume
+        v = a . (b x c) / 6 and second moment v (a a^T + b b^T + c c^T + s s^T) / 20, s = a + b + c.
+
         Raises:
             ObjectModelError: If its center of mass is not at the origin.
         """
         if self._gyration is not None:
             return self._gyration
-        volume, center, moment = self._moments()
-        center, moment = center / volume, moment / volume
-        if np.abs(center).max() > _CENTERED * np.abs(self.vertices).max():
-            x, y, z = center
-            raise ObjectModelError(
-                f"the uniform body between these vertices has its center of mass at ({x:.3g}, "
-                f"{y:.3g}, {z:.3g}) m, expected the origin; move the vertices, or give 'inertia'"
-            )
-        return np.asarray(np.trace(moment) * np.eye(3) - moment)
-
-    def _moments(self) -> tuple[float, Array, Array]:
-        """Return the integrals of 1, r and r r^T over the polyhedron.
-
-        It is made of tetrahedra from the origin to triangles of its faces, of volume
-        v = a . (b x c) / 6 and second moment v (a a^T + b b^T + c c^T + s s^T) / 20, s = a + b + c.
-        """
         volume, center, moment = 0.0, np.zeros(3), np.zeros((3, 3))
         for corners in self.face_corners:
             for i in range(1, len(corners) - 1):
@@ -247,7 +228,14 @@ class Solid:
                 volume += part
                 center += part * s / 4.0
                 moment += part * (abc.T @ abc + np.outer(s, s)) / 20.0
-        return volume, center, moment
+        center, moment = center / volume, moment / volume
+        if np.abs(center).max() > _CENTERED * np.abs(self.vertices).max():
+            x, y, z = center
+            raise ObjectModelError(
+                f"the uniform body between these vertices has its center of mass at ({x:.3g}, "
+                f"{y:.3g}, {z:.3g}) m, expected the origin; move the vertices, or give 'inertia'"
+            )
+        return np.asarray(np.trace(moment) * np.eye(3) - moment)
 
     def _corners_of(self, face: int) -> NDArray[np.intp]:
         """Return the corners on a face, counter-clockwise about its outward normal."""
@@ -293,12 +281,7 @@ class Solid:
 
 
 def _round_gyration(radius: float, profile: Array) -> Array:
-    """Return the gyration of a cylinder, and of a sphere cut in half around it, (3, 3), m^2.
-
-    Args:
-        radius: Of cylinder and sphere, m.
-        profile: See `Shape`.
-    """
+    """Return the gyration of a cylinder between the halves of a sphere, shape (3, 3), m^2."""
     _, b, r = profile
     cylinder, sphere = 2.0 * b * radius**2, 4.0 / 3.0 * r**3  # volumes / pi
     about_z = cylinder * radius**2 / 2.0 + sphere * 0.4 * r**2

@@ -123,9 +123,15 @@ def test_the_command_writes_a_scenario_that_can_run_and_a_picture(tmp_path, caps
     assert f"next: tactile-hand run {file}" in printed and Path(file).with_suffix(".png").is_file()
     record = ClosedLoop(load_scenario(str(file), {"duration": 0.2})).run()
     assert np.isfinite(record.true_positions).all()
+    assert (
+        main(["grasp", "human", "0.04", "0.08", "--shape", "cylinder", "--out", str(tmp_path)]) == 0
+    )
+    body = load_scenario(str(tmp_path / "human_cylinder_40mm.yaml")).plant.object
+    assert (body.shape, body.size) == ("cylinder", (0.04, 0.04, 0.08))
     for words, message in (
         (["human"], "expected one or three positive lengths"),
         (["human", "0.04", "0.03"], "expected one or three positive lengths"),
+        (["human", "0.04", "--shape", "cone"], "shape is 'cone', but should be 'box', 'cylinder'"),
         (["human", "nan"], "expected one or three positive lengths"),
         (["human", "0.04", "--mass", "50"], "a box of 50 kg is too heavy: the best grasp carries"),
     ):

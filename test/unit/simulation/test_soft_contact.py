@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 from support.plants import plant, squeeze, torque_for
 
+from tactile_hand_ros.simulation.contact_step import velocity_map
 from tactile_hand_ros.simulation.plant_config import Disturbance
 
 OPPOSED = {"object__size": (0.2604, 0.24, 0.2604), "object__mass": 0.2}  # fingers 1 and 2 touch
@@ -98,3 +99,14 @@ def test_a_soft_tip_shears_and_does_not_slide_until_coulombs_limit():
     assert sheared == pytest.approx(-1.5e-4 * 6.0 / 2.0, rel=0.02)
     assert state.slid.max() < 1e-9
     assert pulled(9.0)[1].slid[:2].min() > 1e-4
+
+
+def test_a_moment_acts_against_the_spin_of_the_object_relative_to_the_tip():
+    world, velocity = plant(), np.random.default_rng(1).standard_normal(15)
+    state, rates = world.state, velocity[:9]
+    terms = world.hand.raw_dynamics(state.theta, rates)
+    contacts = state.contacts
+    rows = velocity_map(terms, state.position, contacts.positions, contacts.rotations, 0.02)
+    spins = velocity[12:] - world.hand.fingertips(state.theta).angular @ rates
+    expected = 0.02 * (spins * contacts.normals).sum(axis=1)
+    np.testing.assert_allclose(rows[:, 3] @ velocity, expected, atol=1e-12)
