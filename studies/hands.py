@@ -18,7 +18,6 @@ import numpy as np
 import yaml
 
 from tactile_hand_ros.control.grasp import VirtualFrame
-from tactile_hand_ros.control.holds import motions_of_object
 from tactile_hand_ros.errors import PoseError, TactileHandError
 from tactile_hand_ros.front_door import simulate
 from tactile_hand_ros.hand.hand import Hand
@@ -63,7 +62,6 @@ def tried(pair: tuple[str, str]) -> list[str]:
         body, found = _grasped(name, shape)
     except TactileHandError as error:
         return [name, shape, "", "", *[str(error)] * 4]
-    directions = motions_of_object(Hand.load(name), found.theta, found.contacts)
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "scenario.yaml"
         values = scenario_values(name, body, found) | {"duration": _SECONDS}
@@ -75,7 +73,7 @@ def tried(pair: tuple[str, str]) -> list[str]:
             _moved(file, _turns(found)),
             _result(file, {"plant.disturbances": [pulled]}),
         )
-    return [name, shape, f"{1e3 * body.mass:.0f}", str(directions), *results]
+    return [name, shape, f"{1e3 * body.mass:.0f}", str(found.motions), *results]
 
 
 def _grasped(name: str, shape: str) -> tuple[ObjectConfig, FoundGrasp]:

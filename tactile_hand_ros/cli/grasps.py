@@ -11,7 +11,6 @@ import numpy as np
 import yaml
 
 from tactile_hand_ros.cli.output import check_writable, print_files, print_table, steps
-from tactile_hand_ros.control.holds import motions_of_object
 from tactile_hand_ros.errors import GraspError, TactileHandError
 from tactile_hand_ros.hand.hand import Hand
 from tactile_hand_ros.report.scene import hand_figure
@@ -65,11 +64,10 @@ def find_grasp(
         COLUMNS,
         [_row(i, g) for i, g in enumerate(found[:_SHOWN], 1)],
     )
-    motions = motions_of_object(built, best.theta, best.contacts)
-    if motions < 6:
+    if best.motions < 6:
         print(
-            f"with {built.joints} joints, the hand moves the object in {motions} of 6 directions, "
-            "and holds it in the others"
+            f"with {built.joints} joints, the hand moves the object in {best.motions} of 6 "
+            "directions, and holds it in the others"
         )
     heaviest = best.load / _GRAVITY
     if mass > heaviest:

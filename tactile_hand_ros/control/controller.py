@@ -44,8 +44,10 @@ _NOT_FINITE = "the law gives no finite torque; holding until its inputs are plau
 _LONGEST_GAP = 0.05  # s; after a longer pause a tick integrates and moves no more than this
 _SHORTEST_LEVER = 1e-6  # m, far below any hand's; keeps the linear system regular
 _MOVES_UNTIL = 0.8  # fraction of the limit of k_f at which a move stops, before the load grows
-_FEWEST_MOTIONS = 3  # of the object, so that a pose can be controlled: those of its position
 _LONGEST_PERIOD = 0.01  # s between ticks, assumed before the second tick
+
+FEWEST_MOTIONS = 3
+"""Directions in which joints must move the object so that its pose can be controlled."""
 
 LEAST_ROOM = 0.1
 """Fraction of the way to a rim or the end of a joint that a move must leave."""
@@ -591,7 +593,7 @@ class Controller:
         ages = c.touch_latency, c.law.observer.time
         how = forces, self._period, *ages, c.hold.resolution, c.command_delay
         self._law.fit(fitted_gains(self._fingers, theta, contacts, *how))
-        if motions_of_object(self._fingers, theta, contacts) < _FEWEST_MOTIONS:
+        if motions_of_object(self._fingers, theta, contacts) < FEWEST_MOTIONS:
             self._keeps_posture, self._posture = True, theta.copy()
 
     def _judge_hold(

@@ -24,8 +24,9 @@ from tactile_hand_ros.control.contact import (
     in_palm,
     joint_torques,
 )
-from tactile_hand_ros.control.controller import LEAST_ROOM
+from tactile_hand_ros.control.controller import FEWEST_MOTIONS, LEAST_ROOM
 from tactile_hand_ros.control.grasp import wrench_forces
+from tactile_hand_ros.control.holds import motions_of_object
 from tactile_hand_ros.control.optimizer.force_optimizer import ForceOptimizer, ForceOptimizerConfig
 from tactile_hand_ros.control.reach import room
 from tactile_hand_ros.control.slip.regulator import SlipRegulatorConfig
@@ -48,6 +49,10 @@ _MIDDLE = 0.03  # weight of joint angles in the middle of their range
 _OUTSIDE = 0.9  # of the range of a joint, from which more is avoided
 _NO_SPAN = 1e-9  # rad or m, range of a joint that cannot move
 _TOUCH = 1e-4  # m; further away, a tip does not touch
+# Observer of a hand that keeps its posture at the bandwidth w = 125 rad/s of a hold at 1 kHz. The
+# weight of an object whose inertia is r times that of the fingers is carried stably where
+# (1 + 2 w T) (2 w + w^2 T) > (1 + r) w^2 T: here for r < 29, s.
+_SLOW = 0.1
 _BITS = 14  # of the encoders, as most hands have
 _COMPLIANCE = (
     5e-5  # m/N, of tips of hard rubber; between rigid ones, bearings share forces by chance
@@ -68,6 +73,7 @@ class FoundGrasp:
         room: Smallest fraction left of the ways to joint limits and rims; see `reach.room`.
         load: Largest force on the object, in any direction, at which all joints stay inside their
             limits, N.
+        motions: Directions of 6 in which the joints move the object.
     """
 
     theta: Array
@@ -78,6 +84,7 @@ class FoundGrasp:
     grasp_force: float
     room: float
     load: float
+    motions: int
 
 
 def expected_friction(friction: float) -> float:
@@ -136,6 +143,7 @@ def scenario_values(hand: str, body: ObjectConfig, found: FoundGrasp) -> dict[st
     """
     needed = 9.81 * body.mass / (expected_friction(body.friction) - found.friction)
     largest = min(found.grasp_force, SlipRegulatorConfig.model_fields["maximum"].default)
+    few = found.motions < FEWEST_MOTIONS
     return {
         "extends": "human_hold",
         "description": f"A {body.shape} of {body.mass:.3g} kg, held with angles from a search.",
@@ -159,6 +167,7 @@ def scenario_values(hand: str, body: ObjectConfig, found: FoundGrasp) -> dict[st
             "grasp_force": round(min(1.5 * needed, largest), 3),
             "maximum": round(largest, 3),
         },
+        "manipulation_controller": {"law": {"observer": {"time": _SLOW}}} if few else {},
     }
 
 
@@ -292,7 +301,8 @@ class _Problem:
             return None, "the joints cannot carry the fingers"
         pose = x[-6:-3].copy(), vector_from_rotation(turn)
         found = theta.copy(), *pose, contacts, needed, load / (friction - needed), left, load
-        return FoundGrasp(*found), ""
+        motions = motions_of_object(hand, theta, contacts)
+        return FoundGrasp(*found, motions), ""
 
 
 class _RoundProblem(_Problem):
