@@ -48,6 +48,7 @@ _GAP = 0.002  # m between two fingertips
 _MIDDLE = 0.03  # weight of joint angles in the middle of their range
 _OUTSIDE = 0.9  # of the range of a joint, from which more is avoided
 _NO_SPAN = 1e-9  # rad or m, range of a joint that cannot move
+_ROOM = 0.25  # of the ways to joint limits and rims, that a grasp needs to be moved
 _TOUCH = 1e-4  # m; further away, a tip does not touch
 # Observer of a hand that keeps its posture at the bandwidth w = 125 rad/s of a hold at 1 kHz. The
 # weight of an object whose inertia is r times that of the fingers is carried stably where
@@ -101,6 +102,8 @@ def search(
 ) -> list[FoundGrasp]:
     """Return the grasps that were found, the one that carries most first.
 
+    Those without room to move count less.
+
     Args:
         hand: The hand.
         body: Shape, size and friction of the object.
@@ -127,7 +130,7 @@ def search(
             f"mm was found from {len(reasons)} postures; most often {most}. Try another size, or "
             "check limits, axis and center of the tips with `tactile-hand hand`"
         )
-    return sorted(found, key=lambda grasp: -grasp.load)
+    return sorted(found, key=lambda grasp: -grasp.load * min(1.0, grasp.room / _ROOM))
 
 
 def scenario_values(hand: str, body: ObjectConfig, found: FoundGrasp) -> dict[str, Any]:

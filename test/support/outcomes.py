@@ -8,6 +8,8 @@ import numpy as np
 from studies.slip.minimum import minimum_at
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
 from tactile_hand_ros.closed_loop.record import Record
+from tactile_hand_ros.front_door import simulate
+from tactile_hand_ros.report.page import Result
 from tactile_hand_ros.scenario.scenario import Scenario, load_scenario
 
 _STEP = 0.05  # s between checked instants, besides the starts of loads
@@ -16,6 +18,11 @@ _STEP = 0.05  # s between checked instants, besides the starts of loads
 def run_scenario(name: str, changes: dict) -> Record:
     """Return the record of a scenario with some values changed."""
     return ClosedLoop(load_scenario(name, changes)).run()
+
+
+def simulated(name: str) -> Result:
+    """Return the result of a scenario of the package."""
+    return simulate(name)
 
 
 @dataclass(frozen=True)

@@ -7,6 +7,7 @@ from support.equations import grasp_map, hand_jacobian, rotation_error
 from support.grasps import moved
 
 from tactile_hand_ros.control.contact import Contacts, contact_frame
+from tactile_hand_ros.control.holds import FittedGains
 from tactile_hand_ros.control.laws import LawConfig, ManipulationLaw, OptimalLaw, Target
 from tactile_hand_ros.control.optimizer.force_optimizer import ForceOptimizer, ForceOptimizerConfig
 from tactile_hand_ros.errors import CollinearContactsError
@@ -184,6 +185,19 @@ def test_integral_action_is_off_by_default_and_forgets_when_switched_off(grip):
     law = integral_law(k_p=2.0)
     grip.torque("optimal", law=law)
     law.reset()
+    assert not law.integral_wrench.any()
+
+
+def test_an_integral_time_adds_as_much_as_the_fitted_gains_in_that_time(grip):
+    law, stiffness = integral_law(time=0.5), np.diag([30.0, 40.0, 50.0, 0.2, 0.3, 0.4])
+    none = np.zeros((9, 9))
+    law.fit(FittedGains(none, none, stiffness / 2.0, 0.0, 2.0, 2.0))
+    target = offset(law, grip, (0.01, 0.02, -0.02), (0.0, 0.1, 0.0))
+    for _ in range(100):
+        grip.torque("optimal", target, law)
+    error = np.array([0.01, 0.02, -0.02, 0.0, 2 * np.sin(0.1), 0.0])
+    np.testing.assert_allclose(law.integral_wrench, 0.2 / 0.5 * stiffness @ error, atol=1e-9)
+    law.configure(LawConfig(k_p=0.0, k_o=0.0))
     assert not law.integral_wrench.any()
 
 

@@ -1,0 +1,41 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Hands that exist hold a cube under a pull, and those that can move and turn it first."""
+
+import pytest
+from joblib import Parallel, delayed
+from support.outcomes import simulated
+
+from tactile_hand_ros.errors import PoseError
+from tactile_hand_ros.scenario.preflight import check_scenario
+from tactile_hand_ros.scenario.scenario import load_scenario
+
+HANDS = "allegro shadow dex3 ability panda".split()
+
+
+@pytest.fixture(scope="module")
+def results():
+    work = Parallel(n_jobs=-1)
+    return dict(zip(HANDS, work(delayed(simulated)(name) for name in HANDS), strict=True))
+
+
+@pytest.mark.parametrize("name", HANDS)
+def test_a_hand_that_exists_keeps_its_cube_under_a_pull(results, name):
+    scenario, metrics = load_scenario(name), results[name].metrics
+    assert scenario.plant.disturbances[-1].force[2] == -2.0
+    assert metrics.goal_reached and metrics.contacts_lost_ticks == 0
+    assert metrics.max_slip_distance_m < 1e-3 and metrics.slip_alarm_count <= 1
+    commands = [event for event in results[name].events if event.kind == "command"]
+    assert len(commands) == (2 if name in ("allegro", "shadow") else 0)
+
+
+def test_a_gripper_refuses_to_move_its_object_and_says_why():
+    target = {"time": 0.5, "position": [0.005, 0.0, 0.1034]}
+    with pytest.raises(PoseError, match="left would stay 5 mm short of its contact"):
+        check_scenario(load_scenario("panda", {"targets": [target]}))
+
+
+def test_a_hand_with_few_motions_keeps_its_posture_by_a_spring_between_joints(results):
+    """Touch is noisy and late: the object moves less than the pose seen by touch does."""
+    record = results["ability"].record
+    before = (record.times > 1.0) & (record.times < 2.0)
+    assert abs(record.object_position[before] - record.object_position[0]).max() < 3e-4
