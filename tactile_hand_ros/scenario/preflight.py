@@ -15,7 +15,7 @@ from tactile_hand_ros.control.reach import check_reach
 from tactile_hand_ros.errors import ConfigurationError, GraspError, TactileHandError
 from tactile_hand_ros.hand.hand import Fingertips, Hand
 from tactile_hand_ros.scenario.scenario import Scenario
-from tactile_hand_ros.simulation.plant import Plant
+from tactile_hand_ros.simulation.engines import make_plant
 
 
 def check_scenario(scenario: Scenario) -> None:
@@ -29,7 +29,7 @@ def check_scenario(scenario: Scenario) -> None:
         ConfigurationError: If a value does not fit the hand, a gain is unstable at this rate, or a
             user law fails.
     """
-    plant = Plant(scenario.plant)
+    plant = make_plant(scenario.plant)
     hand, state = plant.hand, plant.state
     contacts, law = state.contacts, scenario.manipulation_controller.law
     _check_posture(hand, state.theta)

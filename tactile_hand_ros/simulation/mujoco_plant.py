@@ -1,0 +1,212 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The plant with MuJoCo as its physics engine (Todorov, Erez and Tassa 2012).
+
+The model is built from Pinocchio's model of the hand, since MuJoCo's URDF reader ignores <mimic>.
+`Plant` keeps the state; a step writes it into MuJoCo, and reads it back.
+
+MuJoCo replaces contact laws by soft constraints. What is exact in `Plant` and soft here:
+
+- A loaded tip sinks into the object, and an impact is resolved within a few steps.
+- A contact that sticks creeps with a speed proportional to its tangential force; `slid` counts it.
+- Joints overshoot their limits, and joints that follow others lag within a step.
+- Positions are of first order in the time step.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from tactile_hand_ros.extras import optional
+from tactile_hand_ros.hand.hand import Hand
+from tactile_hand_ros.rotations import quaternion_from_rotation, rotation_from_quaternion
+from tactile_hand_ros.simulation.contact_step import TOUCH, Motion, contact_geometry, velocity_map
+from tactile_hand_ros.simulation.coulomb import EXACT, UNSOLVED
+from tactile_hand_ros.simulation.plant import Plant
+from tactile_hand_ros.simulation.plant_config import ObjectConfig, PlantConfig
+
+Array = NDArray[np.float64]
+
+_OBJECT = "object of the plant"  # no finger has a name with spaces
+_STIFFEST = 0.9999  # the largest impedance; at 1 a constraint would be rigid
+_FRICTION_TO_NORMAL = 100.0  # end of the recommended range; creep is that much slower
+_TOLERANCE = 1e-12  # of the solver; an iteration more than with 1e-8
+_ITERATIONS = 100
+
+
+class MujocoPlant(Plant):
+    """A plant whose steps MuJoCo computes; `contact_residual` is NaN."""
+
+    def __init__(self, config: PlantConfig) -> None:
+        """Build hand and object in their initial state; see `Plant`.
+
+        Raises:
+            MissingLibraryError: If MuJoCo is not installed.
+        """
+        self._mj = optional("mujoco", "plant.engine: mujoco", package="mujoco-core")
+        super().__init__(config)
+        self._model = model = _Builder(self._mj, self.hand, config, self._world.inertia).build()
+        self._data = self._mj.MjData(model)
+        # The object comes last, so angle and rate of a joint have the same index.
+        self._driven = [model.joint(name).qposadr[0] for name in self.hand.joint_names]
+        self._following = [
+            (model.joint(name).qposadr[0], model.joint(c.joint).qposadr[0], c.ratio, c.offset)
+            for name, c in self.hand.couplings.items()
+        ]
+        self._tips = {model.geom(name).id: i for i, name in enumerate(self.hand.finger_names)}
+        self._pairs = [model.pair(name).id for name in self.hand.finger_names]
+
+    def _moved(self, h: float, turns: Array | None, wrench: Array) -> Motion:
+        """Return hand and object a step later; see `Plant`."""
+        model, data, now, m = self._model, self._data, self._now, self.hand.joints
+        self._write(now)
+        data.qfrc_applied[self._driven] = self._acting if turns is None else self._acting - turns
+        data.xfrc_applied[-1] = wrench - self._weight
+        model.opt.gravity = self.hand.gravity
+        model.pair_friction[self._pairs, :2] = self.friction[:, None]
+        self._mj.mj_step(model, data)
+        hand = self.hand.raw_dynamics(now.theta, now.velocities[:m])
+        points, frames, _ = contact_geometry(self._world, now.position, now.rotation, hand.centers)
+        rows = velocity_map(hand, now.position, points, frames)
+        position, (w, x, y, z) = data.qpos[-7:-4].copy(), data.qpos[-4:]
+        rotation, rates = rotation_from_quaternion([x, y, z, w]), data.qvel[self._driven]
+        v = np.concatenate([rates, data.qvel[-6:-3], rotation @ data.qvel[-3:]])
+        impulses = h * self._forces(frames)
+        loaded = impulses[:, 1] > 0.0
+        sliding = np.where(loaded[:, None], (rows @ v)[:, ::2], 0.0)
+        slid = now.slid + h * np.hypot(sliding[:, 0], sliding[:, 1])
+        outcome = EXACT if data.solver_niter[0] < _ITERATIONS else UNSOLVED
+        contacts = rows, impulses, sliding, loaded, slid, np.nan, outcome
+        theta = data.qpos[self._driven]
+        return Motion(theta, v, position, rotation, now.velocities, *contacts)
+
+    def _write(self, now: Motion) -> None:
+        """Set the state of MuJoCo, with the joints that follow exactly where they belong."""
+        data, m = self._data, self.hand.joints
+        if not self._steps:  # forget the last solution, so that equal runs have equal bits
+            self._mj.mj_resetData(self._model, data)
+        v = now.velocities
+        data.qpos[self._driven], data.qvel[self._driven] = now.theta, v[:m]
+        for i, j, ratio, offset in self._following:
+            data.qpos[i], data.qvel[i] = ratio * data.qpos[j] + offset, ratio * data.qvel[j]
+        data.qpos[-7:-4], data.qpos[-4:] = now.position, _quaternion(now.rotation)
+        # The angular velocity of a free body is in its own axes.
+        data.qvel[-6:-3], data.qvel[-3:] = v[m : m + 3], now.rotation.T @ v[m + 3 :]
+
+    def _forces(self, frames: Array) -> Array:
+        """Return the forces on the object in contact frames, shape (k, 3), N."""
+        out, force = np.zeros((self.hand.fingers, 3)), np.zeros(6)
+        for i, contact in enumerate(self._data.contact):
+            self._mj.mj_contactForce(self._model, self._data, i, force)
+            first, second = contact.geom
+            # MuJoCo orders geometries by type; the force acts on the second one.
+            finger, sign = (
+                (self._tips[first], 1.0) if first in self._tips else (self._tips[second], -1.0)
+            )
+            in_palm = force[:3] @ contact.frame.reshape(3, 3)
+            out[finger] += sign * in_palm @ frames[finger]
+        return out
+
+
+class _Builder:
+    """Translates hand and object into a model of MuJoCo."""
+
+    def __init__(self, mj: Any, hand: Hand, config: PlantConfig, inertia: Array) -> None:
+        self._mj, self._hand, self._config, self._inertia = mj, hand, config, inertia
+        self._spec = mj.MjSpec()
+        # The shortest time constant that a step resolves, critically damped.
+        self._solref = [2.0 * config.time_step, 1.0]
+        self._solimp = [_STIFFEST, _STIFFEST, 1.0, 0.5, 1.0]  # at any depth
+        self._masses: list[tuple[float, Array]] = []
+
+    def build(self) -> Any:
+        """Return the compiled model."""
+        self._set_options()
+        self._add_hand()
+        self._add_object()
+        model = self._spec.compile()
+        for i, (mass, moments) in enumerate(self._masses, start=1):
+            model.body_mass[i], model.body_inertia[i] = mass, moments
+        self._mj.mj_setConst(model, self._mj.MjData(model))
+        return model
+
+    def _set_options(self) -> None:
+        mj, option = self._mj, self._spec.option
+        self._spec.compiler.degree = False
+        option.timestep = self._config.time_step
+        option.integrator = mj.mjtIntegrator.mjINT_IMPLICITFAST  # a spinning body gains no energy
+        option.cone = mj.mjtCone.mjCONE_ELLIPTIC  # round, as Coulomb's
+        option.impratio = _FRICTION_TO_NORMAL
+        option.tolerance, option.iterations = _TOLERANCE, _ITERATIONS
+        # The default estimates softness for stretched fingers: a hold needed twice the force.
+        option.enableflags |= mj.mjtEnableBit.mjENBL_DIAGEXACT
+        # A simulation that diverges must not start again unnoticed.
+        option.disableflags |= mj.mjtDisableBit.mjDSBL_AUTORESET
+
+    def _add_hand(self) -> None:
+        hand, model, joint = self._hand, self._hand.model, self._mj.mjtJoint
+        data, bodies = model.createData(), [self._spec.worldbody]
+        pin.computeJointJacobians(model, data, pin.neutral(model))
+        limits = dict(zip(hand.joint_names, np.transpose(hand.position_limits), strict=True))
+        for i, name in list(enumerate(model.names))[1:]:
+            place, link = model.jointPlacements[i], model.inertias[i]
+            at = {"pos": place.translation, "quat": _quaternion(place.rotation)}
+            body = bodies[model.parents[i]].add_body(name=name, **at)
+            along, about = pin.getJointJacobian(model, data, i, pin.LOCAL)[:, i - 1].reshape(2, 3)
+            kind, axis = (joint.mjJNT_SLIDE, along) if along.any() else (joint.mjJNT_HINGE, about)
+            made = body.add_joint(name=name, type=kind, axis=axis)
+            if name in limits and np.isfinite(limits[name]).all():
+                made.limited, made.range = True, limits[name]
+                made.solref_limit, made.solimp_limit = self._solref, self._solimp
+            self._put_mass(body, link.mass, link.lever, link.inertia)
+            bodies.append(body)
+        for index, name, radius in zip(hand.tip_frames, hand.finger_names, hand.radii, strict=True):
+            frame, sphere = model.frames[index], self._mj.mjtGeom.mjGEOM_SPHERE
+            at = {"pos": frame.placement.translation, "size": [radius, 0.0, 0.0]}
+            bodies[frame.parentJoint].add_geom(name=name, type=sphere, **at, **_NO_CONTACT)
+        for name, c in hand.couplings.items():
+            law = {"data": [c.offset, c.ratio, *[0.0] * 9], "type": self._mj.mjtEq.mjEQ_JOINT}
+            soft = {"solref": self._solref, "solimp": self._solimp}
+            self._spec.add_equality(name1=name, name2=c.joint, **law, **soft)
+
+    def _add_object(self) -> None:
+        body = self._spec.worldbody.add_body(name=_OBJECT)
+        body.add_freejoint()
+        self._put_mass(body, self._config.object.mass, np.zeros(3), self._inertia)
+        _add_shape(self._mj, self._spec, body, self._config.object)
+        for name in self._hand.finger_names:
+            pair = {"geomname1": name, "geomname2": _OBJECT, "condim": 3}  # no torsional friction
+            soft = {"solref": self._solref, "solimp": self._solimp}
+            # A finger touches from this gap on, so that a contact without force carries some next.
+            self._spec.add_pair(name=name, **pair, **soft, margin=TOUCH)
+
+    def _put_mass(self, body: Any, mass: float, center: Array, inertia: Array) -> None:
+        """Set the inertia of a body; mass and moments wait for the compiled model.
+
+        The compiler rejects links without mass and the moments that the paper prints.
+        """
+        moments, axes = np.linalg.eigh(inertia)
+        body.ipos, body.iquat = center, _quaternion(axes * np.linalg.det(axes))
+        body.mass, body.inertia, body.explicitinertial = 1.0, np.ones(3), True
+        self._masses.append((mass, moments))
+
+
+_NO_CONTACT = {"contype": 0, "conaffinity": 0}  # but for pairs
+
+
+def _add_shape(mj: Any, spec: Any, body: Any, config: ObjectConfig) -> None:
+    """Give a body the shape of the object."""
+    named = {"name": _OBJECT, **_NO_CONTACT}
+    if config.vertices:
+        spec.add_mesh(name=_OBJECT, uservert=config.vertices)
+        body.add_geom(type=mj.mjtGeom.mjGEOM_MESH, meshname=_OBJECT, **named)
+    else:
+        body.add_geom(type=mj.mjtGeom.mjGEOM_BOX, size=0.5 * np.array(config.size), **named)
+
+
+def _quaternion(rotation: Array) -> Array:
+    """Return the quaternion of a rotation, shape (3, 3), in the order of MuJoCo: w, x, y, z."""
+    return np.roll(quaternion_from_rotation(rotation), 1)
