@@ -202,11 +202,11 @@ def engines(
 ) -> None:
     """Run the scenarios with both physics engines, own / mujoco, and compare them."""
     from studies import engines as e
-    from tactile_hand_ros.config.paths import names_of
+    from tactile_hand_ros.config.paths import scenario_names
 
     check_writable(out)
     with workers(jobs):
-        rows = list(in_parallel(e.compare, scenario or names_of("scenario")))
+        rows = list(in_parallel(e.compare, scenario or scenario_names()))
     out.mkdir(parents=True, exist_ok=True)
     friction = ("friction", e.FRICTION_COLUMNS, e.friction_rows())
     _finish(out, [], ("own / mujoco", e.COLUMNS, rows), friction)

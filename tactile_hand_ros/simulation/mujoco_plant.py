@@ -36,8 +36,8 @@ from tactile_hand_ros.simulation.plant_config import ObjectConfig, PlantConfig
 Array = NDArray[np.float64]
 
 _OBJECT = "object of the plant"  # no finger has a name with spaces
-# MuJoCo's friction lifts off a contact that slides, and each time its force stops for a substep. In
-# steps of 1 ms a third of them were open at 50 mm/s; in substeps, means over a step vary by a tenth.
+# A contact that slides lifts off and has no force for a step, again and again. Without substeps, a
+# third of the steps were open at 50 mm/s; with them, none, and the means vary by 10 %.
 _SUBSTEPS = 10
 _STIFFEST = 0.9999  # the largest impedance; at 1 a constraint would be rigid
 _FRICTION_TO_NORMAL = 100.0  # end of the recommended range; creep is that much slower
@@ -71,7 +71,7 @@ class MujocoPlant(Plant):
 
     def _moved(self, h: float, turns: Array | None, wrench: Array) -> Motion:
         """Return hand and object a step later; see `Plant`."""
-        model, data, now, m = self._model, self._data, self._now, self.hand.joints
+        model, data, now = self._model, self._data, self._now
         self._write(now)
         data.qfrc_applied[self._driven] = self._acting if turns is None else self._acting - turns
         data.xfrc_applied[-1] = wrench - self._weight
@@ -181,9 +181,9 @@ class _Builder:
             at = {"pos": frame.placement.translation, "size": [radius, 0.0, 0.0]}
             bodies[frame.parentJoint].add_geom(name=name, type=sphere, **at, **_NO_CONTACT)
         for name, c in hand.couplings.items():
-            law = {"data": [c.offset, c.ratio, *[0.0] * 9], "type": self._mj.mjtEq.mjEQ_JOINT}
-            soft = {"solref": self._solref, "solimp": self._solimp}
-            self._spec.add_equality(name1=name, name2=c.joint, **law, **soft)
+            law = {"type": self._mj.mjtEq.mjEQ_JOINT, "name1": name, "name2": c.joint}
+            made = self._spec.add_equality(**law, solref=self._solref, solimp=self._solimp)
+            made.data[:2] = c.offset, c.ratio  # of a polynomial
 
     def _add_object(self) -> None:
         body = self._spec.worldbody.add_body(name=_OBJECT)
