@@ -69,6 +69,7 @@ setup(
         "cli": ["typer>=0.12.4,<1", "rich>=13,<15", "psutil>=5.9,<8"],
         "figures": ["matplotlib>=3.6,<4", "scipy>=1.11,<2"],
         "fast": ["numba>=0.60"],
+        "mujoco": ["mujoco-core>=4,<5; python_version >= '3.11'"],
         "study": ["joblib>=1.3,<2", "dask>=2024.1", "distributed>=2024.1"],
         "test": ["pytest>=7.4", "pytest-timeout>=2.2", "hypothesis>=6.98"],
     },
