@@ -6,8 +6,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable
 from time import perf_counter
 
 import numpy as np
@@ -47,15 +46,8 @@ _RAMP = 2.0  # N/s, slow against the oscillations of the hold
 _SLIDING = 1e-3  # all contacts are faster once the block slides, m/s
 
 
-@dataclass(frozen=True)
-class _Run:
-    """A run, and the median time of an integration step, s."""
-
-    result: Result
-    step: float
-
-
-def _run(name: str, engine: str) -> _Run:
+def _run(name: str, engine: str) -> tuple[Result, float]:
+    """Return a run and the median time of an integration step, s."""
     scenario = load_scenario(name, {"plant.engine": engine})
     loop, spent = ClosedLoop(scenario), []
     hand = loop.plant.hand
@@ -69,13 +61,13 @@ def _run(name: str, engine: str) -> _Run:
             record = record.part(slice(row + 1))
             break
         spent.append(perf_counter() - start)
-    return _Run(Result(record, scenario), float(np.median(spent)) / scenario.plant.steps_per_tick)
+    return Result(record, scenario), float(np.median(spent)) / scenario.plant.steps_per_tick
 
 
 def compare(name: str) -> list[str]:
     """Run a scenario with both engines and return its row of the table."""
-    runs = [_run(name, engine) for engine in ENGINES]
-    ours, other = (run.result.record for run in runs)
+    runs, steps = zip(*(_run(name, engine) for engine in ENGINES), strict=True)
+    ours, other = (run.record for run in runs)
     n = min(len(ours), len(other))
     apart = 1e3 * np.linalg.norm(ours.object_position[:n] - other.object_position[:n], axis=1)
     slid = np.nanmax([ours.true_slid[:n], other.true_slid[:n]], axis=(0, 2))
@@ -84,22 +76,22 @@ def compare(name: str) -> list[str]:
     size = np.linalg.norm(forces[0], axis=2).max(axis=1)[sticking]
     off = np.linalg.norm(forces[0] - forces[1], axis=2).max(axis=1)[sticking] / size
     middle, high = 100.0 * np.percentile(off, [50, 95])
-    metrics = [run.result.metrics for run in runs]
+    metrics = [run.metrics for run in runs]
     return [
         name,
-        _both([run.result.headline for run in runs]),
-        _both([f"{1e3 * m.final_position_error_m:.3f}" for m in metrics]),
-        _both([f"{m.final_rotation_error_rad:.4f}" for m in metrics]),
-        _both([f"{1e3 * m.max_slip_distance_m:.3g}" for m in metrics]),
-        _both([f"{1e6 * run.step:.0f}" for run in runs]),
+        _both(run.headline for run in runs),
+        _both(f"{1e3 * m.final_position_error_m:.3f}" for m in metrics),
+        _both(f"{m.final_rotation_error_rad:.4f}" for m in metrics),
+        _both(f"{1e3 * m.max_slip_distance_m:.2g}" for m in metrics),
+        _both(f"{1e6 * step:.0f}" for step in steps),
         f"{apart[sticking].max():.3f} until {ours.times[:n][sticking][-1]:.1f} s",
         f"{apart.max():.3f}",
         f"{middle:.2f} / {high:.2f}",
     ]
 
 
-def _both(texts: list[str]) -> str:
-    return texts[0] if texts[0] == texts[1] else " / ".join(texts)
+def _both(texts: Iterable[str]) -> str:
+    return " / ".join(dict.fromkeys(texts))
 
 
 def _forces(record: Record) -> Array:

@@ -6,8 +6,9 @@ The model is built from Pinocchio's model of the hand, since MuJoCo's URDF reade
 
 MuJoCo replaces contact laws by soft constraints. What is exact in `Plant` and soft here:
 
-- A loaded tip sinks into the object, and an impact is resolved within a few steps.
-- A contact that sticks creeps with a speed proportional to its tangential force; `slid` counts it.
+- A tip touches from a gap of 1 um on and sinks in under load. Impacts take a few steps.
+- A contact that sticks creeps in proportion to its tangential force, and drifts where it rolls;
+  `slid` counts both. A contact that slides lifts off and comes back within a step.
 - Joints overshoot their limits, and joints that follow others lag within a step.
 - Positions are of first order in the time step.
 """
@@ -81,7 +82,8 @@ class MujocoPlant(Plant):
         for _ in range(_SUBSTEPS):
             self._mj.mj_step(model, data)
             self._add_forces(forces)
-            outcome = outcome if data.solver_niter[0] < _ITERATIONS else UNSOLVED
+            if data.solver_niter[: data.nisland].max(initial=0) >= _ITERATIONS:
+                outcome = UNSOLVED
         theta, rates = data.qpos[self._driven], data.qvel[self._driven]
         position, (w, x, y, z) = data.qpos[-7:-4].copy(), data.qpos[-4:]
         rotation = rotation_from_quaternion([x, y, z, w])
@@ -116,13 +118,10 @@ class MujocoPlant(Plant):
     def _add_forces(self, forces: Array) -> None:
         """Add the forces of a substep on the object, palm axes, shape (k, 3), N."""
         force, axes = np.zeros(6), self._data.contact.frame.reshape(-1, 3, 3)
-        for i, (first, second) in enumerate(self._data.contact.geom.tolist()):
+        # MuJoCo orders geometries by type, so the tip is the first, and the force acts on the second.
+        for i, tip in enumerate(self._data.contact.geom[:, 0].tolist()):
             self._mj.mj_contactForce(self._model, self._data, i, force)
-            # The force acts on the second geometry; MuJoCo orders them by type.
-            if first in self._tips:
-                forces[self._tips[first]] += force[:3] @ axes[i]
-            else:
-                forces[self._tips[second]] -= force[:3] @ axes[i]
+            forces[self._tips[tip]] += force[:3] @ axes[i]
 
 
 class _Builder:
@@ -131,7 +130,9 @@ class _Builder:
     def __init__(self, mj: Any, hand: Hand, config: PlantConfig, inertia: Array) -> None:
         self._mj, self._hand, self._config, self._inertia = mj, hand, config, inertia
         self._spec = mj.MjSpec()
-        self._solref = [config.time_step, 1.0]  # time constant, critically damped
+        # Time constant and damping ratio. With the shortest time constant, two substeps, the forces
+        # of sliding contacts vary twice as much; a longer one makes contacts softer.
+        self._solref = [config.time_step, 1.0]
         self._solimp = [_STIFFEST, _STIFFEST, 1.0, 0.5, 1.0]  # at any depth
         self._masses: list[tuple[float, Array]] = []
 
@@ -167,7 +168,7 @@ class _Builder:
         for i, name in list(enumerate(model.names))[1:]:
             place, link = model.jointPlacements[i], model.inertias[i]
             at = {"pos": place.translation, "quat": _quaternion(place.rotation)}
-            body = bodies[model.parents[i]].add_body(name=name, **at)
+            body = bodies[model.parents[i]].add_body(**at)
             along, about = pin.getJointJacobian(model, data, i, pin.LOCAL)[:, i - 1].reshape(2, 3)
             kind, axis = (joint.mjJNT_SLIDE, along) if along.any() else (joint.mjJNT_HINGE, about)
             made = body.add_joint(name=name, type=kind, axis=axis)
@@ -186,14 +187,14 @@ class _Builder:
             made.data[:2] = c.offset, c.ratio  # of a polynomial
 
     def _add_object(self) -> None:
-        body = self._spec.worldbody.add_body(name=_OBJECT)
+        body = self._spec.worldbody.add_body()
         body.add_freejoint()
         self._put_mass(body, self._config.object.mass, np.zeros(3), self._inertia)
         _add_shape(self._mj, self._spec, body, self._config.object)
         for name in self._hand.finger_names:
             pair = {"geomname1": name, "geomname2": _OBJECT, "condim": 3}  # no torsional friction
             soft = {"solref": self._solref, "solimp": self._solimp}
-            # A finger touches from this gap on, so that a contact without force carries some next.
+            # From the gap on that counts as touching; else tips at rest pass a step without force.
             self._spec.add_pair(name=name, **pair, **soft, margin=TOUCH)
 
     def _put_mass(self, body: Any, mass: float, center: Array, inertia: Array) -> None:

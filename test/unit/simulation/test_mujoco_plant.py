@@ -76,9 +76,10 @@ def test_the_initial_state_is_that_of_the_own_engine(name):
 
 
 def test_forces_are_those_of_statics():
-    """The chosen squeeze, and a share of weight and pull that balances them."""
+    """From the first step on; in sum they balance weight and pull."""
     pull = [Disturbance(kind="step", force=(0.5, 0.2, -1.0))]
     advance = held(0.8, disturbances=pull, gravity=(0.0, 0.0, -2.0))
+    assert advance().forces[:, 1].min() > 2.0
     for _ in range(1500):
         state = advance()
     forces = forces_in_palm(state)
