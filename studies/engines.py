@@ -33,9 +33,8 @@ COLUMNS = (
     "rotation error [rad]",
     "slid [mm]",
     "step [µs]",
-    "paths differ while all stick [mm]",
-    "paths differ in all [mm]",
-    "forces differ while all stick, median / 95 % [%]",
+    "paths differ while all stick, in all [mm]",
+    "forces differ while all stick, median, 95 % [%]",
 )
 FRICTION_COLUMNS = ("", "own", "mujoco", "theory")
 FRICTIONS = (0.2, 0.5, 1.0)
@@ -84,9 +83,8 @@ def compare(name: str) -> list[str]:
         _both(f"{m.final_rotation_error_rad:.4f}" for m in metrics),
         _both(f"{1e3 * m.max_slip_distance_m:.2g}" for m in metrics),
         _both(f"{1e6 * step:.0f}" for step in steps),
-        f"{apart[sticking].max():.3f} until {ours.times[:n][sticking][-1]:.1f} s",
-        f"{apart.max():.3f}",
-        f"{middle:.2f} / {high:.2f}",
+        f"{apart[sticking].max():.3f} until {ours.times[:n][sticking][-1]:.1f} s, {apart.max():.3f}",
+        f"{middle:.2f}, {high:.2f}",
     ]
 
 
@@ -134,8 +132,7 @@ def _held(engine: str, friction: float, push: Disturbance) -> Callable[[], Plant
 def _pull_at_slip(engine: str, friction: float) -> float:
     """Return the pull at which the last contact starts to slide, N.
 
-    Stiff joints lose some of the normal force. So it is scaled to `_NORMAL`, with the mean over 0.1
-    s, in which the forces of MuJoCo vary by some percent.
+    Joints give way, so it is scaled to `_NORMAL`, by the mean over 0.1 s: MuJoCo's forces vary.
     """
     largest = 1.5 * friction * _NORMAL
     push = Disturbance(kind="ramp", duration=largest / _RAMP, force=(0.0, 0.0, largest))

@@ -118,7 +118,7 @@ class MujocoPlant(Plant):
     def _add_forces(self, forces: Array) -> None:
         """Add the forces of a substep on the object, palm axes, shape (k, 3), N."""
         force, axes = np.zeros(6), self._data.contact.frame.reshape(-1, 3, 3)
-        # MuJoCo orders geometries by type, so the tip is the first, and the force acts on the second.
+        # MuJoCo orders geometries by type: the tip comes first, and the force acts on the second.
         for i, tip in enumerate(self._data.contact.geom[:, 0].tolist()):
             self._mj.mj_contactForce(self._model, self._data, i, force)
             forces[self._tips[tip]] += force[:3] @ axes[i]

@@ -10,8 +10,6 @@ from support.plants import forces_in_palm, plant, squeeze, torque_for
 
 from tactile_hand_ros.errors import DivergedError
 from tactile_hand_ros.extras import MissingLibraryError
-from tactile_hand_ros.scenario.scenario import load_scenario
-from tactile_hand_ros.simulation.engines import make_plant
 from tactile_hand_ros.simulation.plant import sliding_speeds
 from tactile_hand_ros.simulation.plant_config import Disturbance, FrictionChange
 
@@ -65,11 +63,8 @@ def test_joints_that_follow_move_as_with_the_own_engine(tmp_path):
     np.testing.assert_allclose(other.theta, ours.theta, 2e-3, 2e-3)
 
 
-@pytest.mark.parametrize("name", ["human_hold", "gravity"])
-def test_the_initial_state_is_that_of_the_own_engine(name):
-    changes = {"calibration.link_lengths": 1.05}
-    scenarios = [load_scenario(name, {**changes, "plant.engine": e}) for e in ("own", "mujoco")]
-    ours, other = (make_plant(scenario.plant).reset() for scenario in scenarios)
+def test_the_initial_state_is_that_of_the_own_engine():
+    ours, other = (w.reset() for w in both(layout="pinch", **{"calibration.link_lengths": 1.05}))
     for name in ("theta", "torque", "position", "rotation", "velocity", "forces", "slid", "gaps"):
         np.testing.assert_array_equal(getattr(other, name), getattr(ours, name))
     np.testing.assert_array_equal(other.contacts.positions, ours.contacts.positions)
