@@ -75,7 +75,7 @@ def compare(name: str) -> list[str]:
     size = np.linalg.norm(forces[0], axis=2).max(axis=1)[sticking]
     off = np.linalg.norm(forces[0] - forces[1], axis=2).max(axis=1)[sticking] / size
     middle, high = 100.0 * np.percentile(off, [50, 95])
-    metrics = [run.metrics for run in runs]
+    metrics, until = [run.metrics for run in runs], ours.times[:n][sticking][-1]
     return [
         name,
         _both(run.headline for run in runs),
@@ -83,7 +83,7 @@ def compare(name: str) -> list[str]:
         _both(f"{m.final_rotation_error_rad:.4f}" for m in metrics),
         _both(f"{1e3 * m.max_slip_distance_m:.2g}" for m in metrics),
         _both(f"{1e6 * step:.0f}" for step in steps),
-        f"{apart[sticking].max():.3f} until {ours.times[:n][sticking][-1]:.1f} s, {apart.max():.3f}",
+        f"{apart[sticking].max():.3f} until {until:.1f} s, {apart.max():.3f}",
         f"{middle:.2f}, {high:.2f}",
     ]
 
