@@ -40,7 +40,9 @@ _OBJECT = "object of the plant"  # no finger has a name with spaces
 # A contact that slides lifts off and has no force for a step, again and again. Without substeps, a
 # third of the steps were open at 50 mm/s; with them, none, and the means vary by 10 %.
 _SUBSTEPS = 10
-_STIFFEST = 0.9999  # the largest impedance; at 1 a constraint would be rigid
+# The part of an acceleration that a constraint cancels. The rest lets a loaded tip sink in. It must
+# sink in deeper than rolling lifts it, or its force is interrupted, as at 0.9999 in `pull`.
+_IMPEDANCE = 0.99
 _FRICTION_TO_NORMAL = 100.0  # end of the recommended range; creep is that much slower
 _TOLERANCE = 1e-12  # of the solver; an iteration more than with 1e-8
 _ITERATIONS = 100
@@ -133,7 +135,7 @@ class _Builder:
         # Time constant and damping ratio. With the shortest time constant, two substeps, the forces
         # of sliding contacts vary twice as much; a longer one makes contacts softer.
         self._solref = [config.time_step, 1.0]
-        self._solimp = [_STIFFEST, _STIFFEST, 1.0, 0.5, 1.0]  # at any depth
+        self._solimp = [_IMPEDANCE, _IMPEDANCE, 1.0, 0.5, 1.0]  # at any depth
         self._masses: list[tuple[float, Array]] = []
 
     def build(self) -> Any:
