@@ -114,8 +114,8 @@ def _held(engine: str, friction: float, push: Disturbance) -> Callable[[], Plant
     Both sides press with half of `_NORMAL`, and the pull has the direction of a tangent, z.
     """
     body = ObjectConfig(mass=0.2, friction=friction)
-    held = {"layout": "pinch", "engine": engine, "object": body, "disturbances": [push]}
-    plant = make_plant(PlantConfig(rate=1000.0, **held))
+    given = PlantConfig(layout="pinch", rate=1000.0, object=body, disturbances=[push])
+    plant = make_plant(given.changed({"engine": engine}))
     start = plant.state
     tips = plant.hand.fingertips(start.theta)
     jacobian = hand_jacobian(tips, start.contacts.positions, start.contacts.rotations)
@@ -136,7 +136,8 @@ def _pull_at_slip(engine: str, friction: float) -> float:
     """
     largest = 1.5 * friction * _NORMAL
     push = Disturbance(kind="ramp", duration=largest / _RAMP, force=(0.0, 0.0, largest))
-    advance, normals = _held(engine, friction, push), []
+    advance = _held(engine, friction, push)
+    normals: list[float] = []
     while len(normals) < 1000.0 * push.duration:
         state = advance()
         normals.append(float(state.forces[:, 1].sum()))
