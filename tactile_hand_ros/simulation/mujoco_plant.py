@@ -196,7 +196,7 @@ class _Builder:
         for name in self._hand.finger_names:
             pair = {"geomname1": name, "geomname2": _OBJECT, "condim": 3}  # no torsional friction
             soft = {"solref": self._solref, "solimp": self._solimp}
-            # From the gap on that counts as touching; else tips at rest pass a step without force.
+            # From the gap that counts as touching; else tips at rest pass a substep without force.
             self._spec.add_pair(name=name, **pair, **soft, margin=TOUCH)
 
     def _put_mass(self, body: Any, mass: float, center: Array, inertia: Array) -> None:
