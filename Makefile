@@ -47,7 +47,7 @@ help:
 	@echo 'make run SCENARIO=name    any scenario of config/scenarios, or a file; ARGS="..." for the orchestrator'
 	@echo 'make test                 ruff, mypy and all tests'
 	@echo 'make bench                measure'
-	@echo 'make study NAME=slip      a study: slip, loads, faults, invariance, stalls or fuzz; ARGS="--help" for its options'
+	@echo 'make study NAME=slip      a study: slip, loads, faults, invariance, engines, stalls or fuzz; ARGS="--help" for its options'
 	@echo 'make docs                 build the documentation as a site, site/index.html'
 	@echo 'make docs-figures         run the examples of the documentation, write their numbers and pictures into it'
 	@echo 'make lint                 ruff and mypy'

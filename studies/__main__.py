@@ -207,13 +207,32 @@ def hands(
     _finish(out, [], ("hands", h.COLUMNS, found))
 
 
+def engines(
+    out: OutOption = Path("engines"),
+    jobs: JobsOption = -1,
+    scenario: Annotated[
+        list[str] | None, typer.Option(help="Scenario; may be repeated. By default all.")
+    ] = None,
+) -> None:
+    """Run the scenarios with both physics engines, own / mujoco, and compare them."""
+    from studies import engines as e
+    from tactile_hand_ros.config.paths import scenario_names
+
+    check_writable(out)
+    with workers(jobs):
+        rows = list(in_parallel(e.compare, scenario or scenario_names()))
+    out.mkdir(parents=True, exist_ok=True)
+    friction = ("friction", e.FRICTION_COLUMNS, e.friction_rows())
+    _finish(out, [], ("own / mujoco", e.COLUMNS, rows), friction)
+
+
 app = typer.Typer(
     help="Many runs on all cores, ending in figures and a table.",
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
-for _command in (slip, invariance, loads, faults, fuzz, stalls, hands):
+for _command in (slip, invariance, loads, faults, fuzz, stalls, hands, engines):
     app.command()(_command)
 
 

@@ -13,8 +13,13 @@ class MissingLibraryError(TactileHandError):
     """An optional library that is not installed."""
 
 
-def optional(module: str, purpose: str) -> Any:
-    """Import an optional library; `purpose` names its user in the error text.
+def optional(module: str, purpose: str, package: str = "") -> Any:
+    """Import an optional library.
+
+    Args:
+        module: Its module.
+        purpose: Names its user in the error text.
+        package: What pip installs, if its name differs.
 
     Raises:
         MissingLibraryError: If it is not installed.
@@ -26,5 +31,5 @@ def optional(module: str, purpose: str) -> Any:
             raise
         raise MissingLibraryError(
             f"{purpose} needs the Python library {error.name}, which is not installed; run "
-            f"`pip install {error.name}`."
+            f"`pip install {package or error.name}`."
         ) from None

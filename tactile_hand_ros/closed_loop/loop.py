@@ -24,7 +24,8 @@ from tactile_hand_ros.hand.hand import Hand
 from tactile_hand_ros.rotations import quaternion_from_rotation
 from tactile_hand_ros.scenario.preflight import check_scenario
 from tactile_hand_ros.scenario.scenario import Scenario
-from tactile_hand_ros.simulation.plant import Plant, PlantState, sliding_speeds, true_reading
+from tactile_hand_ros.simulation.engines import make_plant
+from tactile_hand_ros.simulation.plant import PlantState, sliding_speeds, true_reading
 from tactile_hand_ros.simulation.skin import TactileReading, TactileSensor
 
 Array = NDArray[np.float64]
@@ -151,7 +152,7 @@ class ClosedLoop:
         """
         check_scenario(scenario)
         self.scenario = scenario
-        self.plant = Plant(scenario.plant)
+        self.plant = make_plant(scenario.plant)
         self.chain = sensing_chain(scenario, self.plant.model)
         self.state = self.plant.state
         self.stamp = 0

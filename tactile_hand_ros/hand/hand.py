@@ -209,6 +209,16 @@ class Hand:
         return part
 
     @property
+    def model(self) -> pin.Model:
+        """Pinocchio's model of all joints, also of those that follow; it must not be changed."""
+        return self._model
+
+    @property
+    def tip_frames(self) -> list[int]:
+        """Frames of the model at the centers of the fingertips, by finger."""
+        return self._tips
+
+    @property
     def moves(self) -> NDArray[np.bool_]:
         """Which driven joints move which fingertip, shape (k, m)."""
         s = self._coupling

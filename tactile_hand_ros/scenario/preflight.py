@@ -17,7 +17,7 @@ from tactile_hand_ros.control.reach import check_reach
 from tactile_hand_ros.errors import ConfigurationError, GraspError, TactileHandError
 from tactile_hand_ros.hand.hand import Hand
 from tactile_hand_ros.scenario.scenario import Scenario
-from tactile_hand_ros.simulation.plant import Plant
+from tactile_hand_ros.simulation.engines import make_plant
 
 _HULL_EXCESS = 0.03  # of the volume of a mesh; 500 corners of a ball lack 1 %
 
@@ -35,7 +35,7 @@ def check_scenario(scenario: Scenario) -> None:
         ConfigurationError: If a value does not fit the hand, a gain is unstable at this rate, or a
             user law fails.
     """
-    plant = Plant(scenario.plant)
+    plant = make_plant(scenario.plant)
     if abs(excess := plant.solid.excess) > _HULL_EXCESS:
         warnings.warn(
             f"{scenario.plant.object.mesh}: fingers touch its convex hull, whose volume differs by "

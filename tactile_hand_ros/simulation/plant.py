@@ -221,22 +221,36 @@ class Plant:
         while self._changes and self._changes[0].start <= self.time:
             self.friction[:] = self._changes.pop(0).friction
         now, m, middle = self._now, self.hand.joints, self.time + 0.5 * h
-        theta, ahead = half_step(h, now)
         turning = self._turn_palm(middle)
-        terms, wrench = self.hand.raw_dynamics(theta, ahead[:m]), self._weight
+        wrench, turns = self._weight, None
         if turning is not None:
+            theta, ahead = half_step(h, now)
             turns = self.hand.turning_torque(theta, ahead[:m], *turning[1:])
-            terms = terms._replace(bias=terms.bias + turns)
             body_motion = now.position, ahead[m : m + 3], ahead[m + 3 :]
             inertia = now.rotation @ self._world.inertia @ now.rotation.T
             wrench = wrench + apparent_wrench(turning, (self._world.mass, inertia), body_motion)
         if self.config.disturbances:
             wrench = external_wrench(self.config.disturbances, middle) + wrench
-        self._now = self._within_limits(h, terms, wrench)
+        self._now = self._moved(h, turns, wrench)
         self.relaxed_steps += self._now.outcome == RELAXED
         self.unsolved_steps += self._now.outcome == UNSOLVED
         self._steps += 1
         self.time = self._steps * h
+
+    def _moved(self, h: float, turns: Array | None, wrench: Array) -> Motion:
+        """Return hand and object a step later; the part that another engine replaces.
+
+        Args:
+            h: Length of the step, s.
+            turns: Joint torques that balance the turning of the palm, shape (m,), N m, if it turns.
+            wrench: External wrench and weight about the object's center of mass, shape (6,), N and
+                N m.
+        """
+        theta, ahead = half_step(h, self._now)
+        terms = self.hand.raw_dynamics(theta, ahead[: self.hand.joints])
+        if turns is not None:
+            terms = terms._replace(bias=terms.bias + turns)
+        return self._within_limits(h, terms, wrench)
 
     def _within_limits(self, h: float, hand: RawDynamics, wrench: Array) -> Motion:
         """Return a step in which no joint passes a limit.

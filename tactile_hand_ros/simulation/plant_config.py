@@ -197,6 +197,7 @@ class PlantConfig(Config):
     palm_motion: list[PalmTurn] = param(
         [], "orientations of the palm in the world over time; with any, `imu` is published"
     )
+    engine: Literal["own", "mujoco"] = param("own", "physics engine; mujoco needs mujoco-core")
     time_step: float = param(0.001, "integration step", unit="s", ge=1e-5, le=0.01)
     rate: float = param(500.0, "ticks per second of simulated time", unit="Hz", gt=0.0, le=10000.0)
     pacing: Literal["lockstep", "realtime"] = param(

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_hand_ros.control.command_guard import CommandGuard, TorqueCommand
-from tactile_hand_ros.simulation.plant import Plant
+from tactile_hand_ros.simulation.engines import make_plant
 from tactile_hand_ros.simulation.plant_config import PlantConfig
 
 Array = NDArray[np.float64]
@@ -29,7 +29,7 @@ class PlantRun:
         Raises:
             TactileHandError: If hand or object cannot be built.
         """
-        self.plant = Plant(config)
+        self.plant = make_plant(config)
         self.guard = CommandGuard(config.guard, self.plant.model, config.tick, config.step)
         self._tick = config.tick
         self._end = round(config.duration * config.rate) * config.tick

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from support.equations import hand_jacobian
+from tactile_hand_ros.simulation.engines import make_plant
 from tactile_hand_ros.simulation.plant import Plant, PlantState
 from tactile_hand_ros.simulation.plant_config import PlantConfig
 
@@ -19,7 +20,7 @@ def plant(step: float = 0.001, **values: Any) -> Plant:
     """Return a plant with one step per tick; values by dotted name, as in a YAML file."""
     changes = {"time_step": step, "rate": 1.0 / step, **values}
     changes = {name.replace("__", "."): value for name, value in changes.items()}
-    return Plant(PlantConfig().changed(changes))
+    return make_plant(PlantConfig().changed(changes))
 
 
 def jacobian(plant: Plant, state: PlantState) -> Array:

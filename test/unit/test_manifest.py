@@ -6,7 +6,7 @@ from __future__ import annotations
 import ast
 import sys
 import xml.etree.ElementTree as ElementTree
-from importlib.metadata import requires, version
+from importlib.metadata import metadata, requires, version
 from pathlib import Path
 
 import pytest
@@ -39,8 +39,14 @@ STUDIES = requirements("studies.txt")
 
 
 def declared() -> list[Requirement]:
-    """Return install_requires and all extras, as installed."""
-    return [Requirement(text.split(";")[0]) for text in requires("tactile_hand_ros") or []]
+    """Return install_requires and all extras, as installed, for this Python."""
+    found = [Requirement(text) for text in requires("tactile_hand_ros") or []]
+    extras = metadata("tactile_hand_ros").get_all("Provides-Extra") or []
+    return [
+        each
+        for each in found
+        if not each.marker or any(each.marker.evaluate({"extra": extra}) for extra in extras)
+    ]
 
 
 def python_keys() -> dict[str, str]:
