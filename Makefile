@@ -47,7 +47,7 @@ help:
 	@echo 'make run SCENARIO=name    any scenario of config/scenarios, or a file; ARGS="..." for the orchestrator'
 	@echo 'make test                 ruff, mypy and all tests'
 	@echo 'make bench                measure'
-	@echo 'make study NAME=slip      a study: slip, loads, faults, invariance, engines, stalls or fuzz; ARGS="--help" for its options'
+	@echo 'make study NAME=slip      a study: slip, loads, faults, invariance, engines, hands, stalls or fuzz; ARGS="--help" for its options'
 	@echo 'make docs                 build the documentation as a site, site/index.html'
 	@echo 'make docs-figures         run the examples of the documentation, write their numbers and pictures into it'
 	@echo 'make lint                 ruff and mypy'
@@ -134,9 +134,9 @@ $(VENV)/.run: requirements/locked/run.txt $(VENV)/.created
 	@$(PIP_INSTALL) $(LOCKED) $(addprefix -r requirements/locked/,run.txt)
 	@touch '$@'
 
-$(VENV)/.dev: requirements/locked/dev.txt requirements/locked/studies.txt $(VENV)/.run
-	@echo 'set-up: test tools'
-	@$(PIP_INSTALL) $(LOCKED) $(addprefix -r requirements/locked/,run.txt studies.txt dev.txt)
+$(VENV)/.dev: requirements/locked/dev.txt requirements/locked/studies.txt requirements/locked/hands.txt $(VENV)/.run
+	@echo 'set-up: test tools, and hands that exist'
+	@$(PIP_INSTALL) $(LOCKED) $(addprefix -r requirements/locked/,run.txt studies.txt dev.txt hands.txt)
 	@touch '$@'
 
 $(VENV)/.docs: requirements/locked/docs.txt $(VENV)/.dev

@@ -67,6 +67,7 @@ setup(
     ],
     extras_require={
         "cli": ["typer>=0.12.4,<1", "rich>=13,<15", "psutil>=5.9,<8"],
+        "cockpit": ["aiohttp>=3.9,<4"],
         "figures": ["matplotlib>=3.6,<4", "scipy>=1.11,<2"],
         "mesh": ["trimesh>=4.4"],
         "fast": ["numba>=0.60"],

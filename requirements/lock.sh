@@ -29,3 +29,6 @@ lock run
 lock studies run
 lock dev run
 lock docs run
+# Only files of these packages are read, so what they require is left out.
+"$uv" pip compile --quiet --universal --python-version 3.10 --generate-hashes --no-annotate --no-deps \
+    --default-index "$index" --custom-compile-command 'make lock' hands.txt --output-file locked/hands.txt

@@ -15,6 +15,10 @@ from hypothesis import settings
 # `bench` and `studies` stand beside the package; behind it, so that what is installed is tested.
 sys.path.append(str(Path(__file__).resolve().parents[1]))
 
+# MuJoCo needs a newer Python than the package does.
+_MUJOCO = ["unit/simulation/test_mujoco_plant.py", "unit/hand/test_mjcf.py"]
+collect_ignore = _MUJOCO if sys.version_info < (3, 11) else []
+
 # No test fails on a duration; the first call of a compiled function may take a second.
 settings.register_profile("patient", deadline=None)
 settings.register_profile("fuzz", deadline=None, max_examples=20_000)

@@ -99,8 +99,9 @@ def locked(name: str) -> dict[str, list[Requirement]]:
     return found
 
 
-@pytest.mark.parametrize("name", ["ros.txt", "run.txt", "dev.txt", "studies.txt", "docs.txt"])
+@pytest.mark.parametrize("name", "ros run dev studies docs hands".split())
 def test_pins_are_locked_with_their_hashes(name: str) -> None:
+    name = f"{name}.txt"
     files = [path.name for path in (ROOT / "requirements/locked").iterdir()]
     everything = {key: each for file in files for key, each in locked(file).items()}
     for key, pin in requirements(name).items():
