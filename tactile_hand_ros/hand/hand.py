@@ -116,6 +116,8 @@ class Hand:
         fingers: Number of fingers k.
         joints: Number of driven joints m.
         finger_names: Names of the k fingers.
+        file: The URDF or MJCF.
+        tip_links: Names of the fingers' last links.
         joint_names: Names of the m driven joints, in the order of every joint array.
         couplings: Those of the other joints, by their names.
         radii: Fingertip radii r, shape (k,), m.
@@ -171,6 +173,7 @@ class Hand:
         self.fingers = len(self._tips)
         self.joints = len(driven)
         self.finger_names = config.finger_names
+        self.file, self.tip_links = config.file, [finger.tip for finger in config.fingers]
         self.radii = tip_radii * np.array([finger.radius for finger in fingers])
         self.joint_names = driven
         self._set_limits()
@@ -243,7 +246,7 @@ class Hand:
         self.effort_limits = np.where(efforts > 0.0, efforts, np.inf)
         self.velocity_limits, self.position_limits = fastest, (lower, upper)
 
-    def _all(self, theta: Array) -> Array:
+    def all_angles(self, theta: Array) -> Array:
         """Return the angles of all joints, shape (n,), rad, for those of the driven ones."""
         return self._coupling @ theta + self._offsets if self._coupling.size else theta
 
@@ -269,7 +272,7 @@ class Hand:
         Args:
             theta: Joint angles, shape (m,), rad.
         """
-        pin.computeJointJacobians(self._model, self._data, self._all(theta))
+        pin.computeJointJacobians(self._model, self._data, self.all_angles(theta))
         return self._read_fingertips()
 
     def tip_positions(self, theta: Array) -> Array:
@@ -278,7 +281,7 @@ class Hand:
         Args:
             theta: Joint angles, shape (m,), rad.
         """
-        pin.forwardKinematics(self._model, self._data, self._all(theta))
+        pin.forwardKinematics(self._model, self._data, self.all_angles(theta))
         return self._read_centers()
 
     def _read_centers(self) -> Array:
@@ -315,7 +318,7 @@ class Hand:
             rates: Joint rates, shape (m,), rad/s.
         """
         model, data, s = self._model, self._data, self._coupling
-        theta, rates = self._all(theta), self._all_rates(rates)
+        theta, rates = self.all_angles(theta), self._all_rates(rates)
         pin.computeJointJacobians(model, data, theta)
         pin.crba(model, data, theta)
         pin.nonLinearEffects(model, data, theta, rates)
@@ -337,7 +340,7 @@ class Hand:
             self._turned = pin.buildModelFromXML(self.description, pin.JointModelFreeFlyer())
             self._turned.gravity.linear = np.zeros(3)
             self._turned_data = self._turned.createData()
-        theta, rates = self._all(theta), self._all_rates(rates)
+        theta, rates = self.all_angles(theta), self._all_rates(rates)
         at = np.concatenate([np.zeros(6), [1.0], theta])
         still, none = np.concatenate([np.zeros(6), rates]), np.zeros(len(rates))
         turns = np.concatenate([np.zeros(3), spin, rates])
@@ -353,7 +356,7 @@ class Hand:
         Args:
             theta: Joint angles, shape (m,), rad.
         """
-        torque = pin.computeGeneralizedGravity(self._model, self._data, self._all(theta))
+        torque = pin.computeGeneralizedGravity(self._model, self._data, self.all_angles(theta))
         return np.array(self._driven(torque))
 
     def kinetic_energy(self, theta: Array, rates: Array) -> float:
@@ -363,7 +366,7 @@ class Hand:
             theta: Joint angles, shape (m,), rad.
             rates: Joint rates, shape (m,), rad/s.
         """
-        at = self._all(theta), self._all_rates(rates)
+        at = self.all_angles(theta), self._all_rates(rates)
         return float(pin.computeKineticEnergy(self._model, self._data, *at))
 
     def potential_energy(self, theta: Array) -> float:
@@ -372,7 +375,7 @@ class Hand:
         Args:
             theta: Joint angles, shape (m,), rad.
         """
-        return float(pin.computePotentialEnergy(self._model, self._data, self._all(theta)))
+        return float(pin.computePotentialEnergy(self._model, self._data, self.all_angles(theta)))
 
     def tip_rotations(self, theta: Array) -> Array:
         """Return the frames of the tip links, with x along the link, palm frame, shape (k, 3, 3).
@@ -380,7 +383,7 @@ class Hand:
         Args:
             theta: Joint angles, shape (m,), rad.
         """
-        pin.framesForwardKinematics(self._model, self._data, self._all(theta))
+        pin.framesForwardKinematics(self._model, self._data, self.all_angles(theta))
         return np.array([self._data.oMf[frame].rotation for frame in self._tips])
 
     def joint_positions(self, theta: Array) -> list[list[Array]]:
@@ -389,7 +392,7 @@ class Hand:
         Args:
             theta: Joint angles, shape (m,), rad.
         """
-        pin.framesForwardKinematics(self._model, self._data, self._all(theta))
+        pin.framesForwardKinematics(self._model, self._data, self.all_angles(theta))
         return [self._chain(frame) for frame in self._tips]
 
     def _chain(self, frame: int) -> list[Array]:

@@ -34,6 +34,7 @@ from tactile_hand_ros.errors import GraspError
 from tactile_hand_ros.extras import optional
 from tactile_hand_ros.hand.hand import Hand
 from tactile_hand_ros.rotations import rodrigues, vector_from_rotation
+from tactile_hand_ros.scenario.link_collisions import LinkCollisions
 from tactile_hand_ros.simulation.plant_config import ObjectConfig
 from tactile_hand_ros.simulation.solid import closest_point
 
@@ -113,12 +114,16 @@ def search(
     Raises:
         GraspError: If there is none, with the reason that came up most.
     """
-    relied = expected_friction(body.friction)
+    relied, links = expected_friction(body.friction), LinkCollisions(hand, body.solid())
     random, found, reasons = np.random.default_rng(seed), list[FoundGrasp](), list[str]()
     for alone, axis in _choices(hand, body):
         problem = (_Problem if body.shape == "box" else _RoundProblem)(hand, body, alone, axis)
         for _ in range(STARTS):
             grasp, reason = problem.solve(random, relied)
+            if grasp is not None:
+                touching = links.touching(grasp.theta, grasp.position, rodrigues(*grasp.rotation))
+                if touching:
+                    grasp, reason = None, f"{touching[0]} would be inside the object"
             reasons.append(reason)
             if grasp is not None:
                 found.append(grasp)

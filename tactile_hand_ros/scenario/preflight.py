@@ -16,6 +16,7 @@ from tactile_hand_ros.control.optimizer.force_optimizer import ForceOptimizer
 from tactile_hand_ros.control.reach import check_reach
 from tactile_hand_ros.errors import ConfigurationError, GraspError, TactileHandError
 from tactile_hand_ros.hand.hand import Hand
+from tactile_hand_ros.scenario.link_collisions import LinkCollisions
 from tactile_hand_ros.scenario.scenario import Scenario
 from tactile_hand_ros.simulation.engines import make_plant
 
@@ -43,6 +44,13 @@ def check_scenario(scenario: Scenario) -> None:
             stacklevel=2,
         )
     hand, state = plant.hand, plant.state
+    links = LinkCollisions(hand, plant.solid)
+    if inside := links.touching(state.theta, state.position, state.rotation):
+        warnings.warn(
+            f"the object starts inside {', '.join(inside)}, which the simulation does not feel; "
+            "place it elsewhere, as `tactile-hand grasp` does",
+            stacklevel=2,
+        )
     contacts, law = state.contacts, scenario.manipulation_controller.law
     _check_posture(hand, state.theta)
     is_enough = contacts.enough_touching and law.name == "optimal"

@@ -1,0 +1,73 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Palm and links against the object, by the collision shapes of the URDF; fingertips may touch."""
+
+from __future__ import annotations
+
+import itertools
+
+import coal
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from tactile_hand_ros.hand.hand import Hand
+from tactile_hand_ros.simulation.solid import Solid
+
+Array = NDArray[np.float64]
+
+
+class LinkCollisions:
+    """Finds palm and links that an object intersects; those without collision shapes never do."""
+
+    def __init__(self, hand: Hand, solid: Solid) -> None:
+        """Read the shapes of the hand's URDF.
+
+        Args:
+            hand: The hand; a hand whose meshes are missing has no shapes.
+            solid: The object.
+        """
+        self._hand, self._model, self._data = hand, hand.model, hand.model.createData()
+        folders, kind = [str(folder) for folder in hand.file.parents], pin.GeometryType.COLLISION
+        try:
+            geometry = pin.buildGeomFromUrdfString(
+                hand.model, hand.description, kind, package_dirs=folders
+            )
+        except ValueError:
+            geometry = pin.GeometryModel()
+        bodies = enumerate(geometry.geometryObjects)
+        named = {i: hand.model.frames[body.parentFrame].name for i, body in bodies}
+        self._links = {i: name for i, name in named.items() if name not in hand.tip_links}
+        self._geometry, self._placed = geometry, geometry.createData()
+        self._object = _surface(solid)
+
+    def touching(self, theta: Array, position: Array, rotation: Array) -> list[str]:
+        """Return the names of links that intersect the object, each once.
+
+        Args:
+            theta: Joint angles, shape (m,), rad.
+            position: Origin of the object, palm frame, shape (3,), m.
+            rotation: Its frame in the palm frame, shape (3, 3).
+        """
+        moved = self._model, self._data, self._geometry, self._placed
+        pin.updateGeometryPlacements(*moved, self._hand.all_angles(theta))
+        at, found = coal.Transform3s(rotation, position), dict[str, None]()
+        for i, name in self._links.items():
+            place = self._placed.oMg[i]
+            there = coal.Transform3s(place.rotation, place.translation)
+            shape = self._geometry.geometryObjects[i].geometry
+            request, result = coal.CollisionRequest(), coal.CollisionResult()
+            if coal.collide(shape, there, self._object, at, request, result):
+                found[name] = None
+        return list(found)
+
+
+def _surface(solid: Solid) -> coal.CollisionGeometry:
+    """Return the surface of a solid as triangles."""
+    surface = coal.BVHModelOBBRSS()
+    surface.beginModel(len(solid.vertices), len(solid.vertices))
+    for corners in solid.face_corners:
+        a, *others = (solid.vertices[corner] for corner in corners)
+        for b, c in itertools.pairwise(others):
+            surface.addTriangle(a, b, c)
+    surface.endModel()
+    return surface
