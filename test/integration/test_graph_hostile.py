@@ -160,10 +160,7 @@ def floods(graph: Graph) -> dict[str, tuple[str, Any]]:
         "poses out of reach": (names.DESIRED_POSE, pose_message((0.5, 0.5, 0.5), np.eye(3), 0)),
         "poses": (names.DESIRED_POSE, pose_message(P_D, np.eye(3), 0)),
         "grasp forces": (names.USER_GRASP_FORCE, Float64(data=10.0)),
-        "megabytes": (
-            names.DESIRED_POSE,
-            pose_message(P_D, np.eye(3), 0, frame="x" * 1_000_000),
-        ),
+        "megabytes": (names.DESIRED_POSE, pose_message(P_D, np.eye(3), 0, frame="x" * 1_000_000)),
     }
 
 

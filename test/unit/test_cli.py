@@ -202,9 +202,7 @@ def test_a_middleware_that_is_missing_is_one_sentence() -> None:
     assert code == 2 and "which is not installed here" in errors and errors.count("\n") == 1
 
 
-def test_an_rclpy_that_cannot_be_loaded_is_one_sentence(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_an_rclpy_that_cannot_be_loaded_is_one_sentence(capsys: pytest.CaptureFixture[str]) -> None:
     def load() -> None:
         raise ImportError("No module named 'rclpy._rclpy_pybind11'", name="rclpy._rclpy_pybind11")
 

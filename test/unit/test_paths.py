@@ -106,10 +106,7 @@ def drawn(heading: str) -> set[str]:
 
 @pytest.mark.parametrize(
     ("kind", "maximum", "heading"),
-    [
-        (ManipulationControllerNode, 14, "A tick, from"),
-        (SlipRegulatorNode, 12, "A slip, from"),
-    ],
+    [(ManipulationControllerNode, 14, "A tick, from"), (SlipRegulatorNode, 12, "A slip, from")],
 )
 def test_a_tick_passes_through_few_modules_and_all_are_drawn(
     here: Process, kind: Any, maximum: int, heading: str

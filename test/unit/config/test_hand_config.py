@@ -8,11 +8,7 @@ from typing import Any
 
 import pytest
 
-from tactile_hand_ros.config.hand_config import (
-    HandConfig,
-    MountConfig,
-    load_hand_config,
-)
+from tactile_hand_ros.config.hand_config import HandConfig, MountConfig, load_hand_config
 from tactile_hand_ros.config.model import validate
 from tactile_hand_ros.config.plain_yaml import find_file
 from tactile_hand_ros.errors import ConfigurationError, HandModelError

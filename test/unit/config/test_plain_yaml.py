@@ -9,12 +9,7 @@ from pathlib import Path
 import pytest
 
 from tactile_hand_ros.config.model import Config, param, validate
-from tactile_hand_ros.config.plain_yaml import (
-    LARGEST,
-    parse_yaml,
-    read_text,
-    yaml_text,
-)
+from tactile_hand_ros.config.plain_yaml import LARGEST, parse_yaml, read_text, yaml_text
 from tactile_hand_ros.errors import ConfigurationError
 
 LAUGHS = "name: &a [ha, ha, ha, ha, ha, ha, ha, ha, ha]\n" + "".join(

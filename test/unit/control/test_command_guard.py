@@ -6,12 +6,7 @@ import pytest
 
 from tactile_hand_ros.control import command_guard
 from tactile_hand_ros.control.command_guard import CommandGuard, GuardConfig, TorqueCommand
-from tactile_hand_ros.control.holds import (
-    joint_torque,
-    split_forces,
-    spring,
-    tip_forces,
-)
+from tactile_hand_ros.control.holds import joint_torque, split_forces, spring, tip_forces
 from tactile_hand_ros.hand.hand import Hand
 
 TICK = 2_000_000

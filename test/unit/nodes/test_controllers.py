@@ -467,9 +467,7 @@ def test_services_change_the_controller_and_report_the_result(here: Process) -> 
     assert ("grasp", "false") in found and found[-1] == ("reset", "")
 
 
-def test_that_touch_is_rejected_is_published_when_it_begins_and_when_it_ends(
-    here: Process,
-) -> None:
+def test_that_touch_is_rejected_is_published_when_it_begins_and_when_it_ends(here: Process) -> None:
     node = here.make(ManipulationControllerNode)
     here.receive(Bool, names.TOUCH_REJECTED, qos.latched_qos(10))
     stamps = iter(range(0, 10 * TICK, TICK))
@@ -482,9 +480,7 @@ def test_that_touch_is_rejected_is_published_when_it_begins_and_when_it_ends(
     assert not here.messages(names.TOUCH_REJECTED, 3)[-1].data
 
 
-def test_forces_are_not_observed_where_the_controller_does_not_receive_them(
-    here: Process,
-) -> None:
+def test_forces_are_not_observed_where_the_controller_does_not_receive_them(here: Process) -> None:
     node = here.make(ManipulationControllerNode, composed=False, **{"law.observer.time": 0.0})
     (result,) = node.set_parameters([Parameter("law.observer.time", value=0.25)])
     assert not result.successful and "does not subscribe to forces" in result.reason

@@ -18,11 +18,7 @@ from tactile_hand_ros.scenario.scenario import load_scenario
 FINGERS = ("finger_1", "finger_2", "finger_3")
 RECEIVED = {
     names.PLANT: {"joint_command"},
-    names.SENSOR: {
-        "ground_truth/contacts",
-        "ground_truth/slip",
-        *map(names.true_wrench, FINGERS),
-    },
+    names.SENSOR: {"ground_truth/contacts", "ground_truth/slip", *map(names.true_wrench, FINGERS)},
     names.REGULATOR: {
         "tactile/contacts",
         "joint_hold",
@@ -43,12 +39,7 @@ RECEIVED = {
 """The subscriptions of each node in the paper's scenario."""
 
 EACH_TICK = {
-    names.PLANT: {
-        "joint_states",
-        "clock",
-        "ground_truth/object_pose",
-        *RECEIVED[names.SENSOR],
-    },
+    names.PLANT: {"joint_states", "clock", "ground_truth/object_pose", *RECEIVED[names.SENSOR]},
     names.SENSOR: {"tactile/contacts", *map(names.wrench, FINGERS)},
     names.REGULATOR: {"grasp_force", "grip_state", "grip_margin", *map(names.load, FINGERS)},
     names.OPTIMIZER: set(map(names.optimal_force, FINGERS)),

@@ -269,9 +269,6 @@ def test_without_a_hand_there_is_one_sentence(context: Context) -> None:
     absent = f"no hand is running in ROS domain {domain} and namespace '/nowhere'"
     with graph_node(context, "user", "/nowhere") as node:
         client = HandClient(node, 0.02)
-        for command in (
-            lambda: client.move([0.0] * 3, None),
-            lambda: client.grasp(True),
-        ):
+        for command in (lambda: client.move([0.0] * 3, None), lambda: client.grasp(True)):
             with pytest.raises(SteeringError, match=absent):
                 command()

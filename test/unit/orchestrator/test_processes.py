@@ -14,11 +14,7 @@ import pytest
 
 from bench.processes import CapturedProcess
 from tactile_hand_ros.orchestrator import processes as launcher
-from tactile_hand_ros.orchestrator.processes import (
-    NodeDiedError,
-    NodeProcess,
-    Processes,
-)
+from tactile_hand_ros.orchestrator.processes import NodeDiedError, NodeProcess, Processes
 from tactile_hand_ros.ros import processes as ros_processes
 from tactile_hand_ros.ros.processes import executable_directory, wait_until
 

@@ -207,9 +207,7 @@ def test_what_waits_for_the_end_of_reading_is_called_once_after_all_messages(
     assert calls == [0.0, 1.0, 2.0, "read"]
 
 
-def test_nodes_work_between_messages_as_long_as_there_is_something_to_do(
-    nodes: list[Any],
-) -> None:
+def test_nodes_work_between_messages_as_long_as_there_is_something_to_do(nodes: list[Any]) -> None:
     """A timer gets its turn meanwhile; then the executor waits."""
     counts = {"work": 0, "timer": 0}
 

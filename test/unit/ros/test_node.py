@@ -224,9 +224,7 @@ def test_peers_are_counted_by_topic_and_end(here: Process, node: Example) -> Non
     here.wait(met, "both")
 
 
-def test_a_configuration_that_cannot_be_taken_over_is_a_fault_until_the_next(
-    node: Example,
-) -> None:
+def test_a_configuration_that_cannot_be_taken_over_is_a_fault_until_the_next(node: Example) -> None:
     def change(value: float) -> tuple[bool, str]:
         (result,) = node.set_parameters([Parameter("gain", value=value)])
         return result.successful, result.reason

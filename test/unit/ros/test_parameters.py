@@ -17,10 +17,7 @@ from bench.processes import isolated_domain
 from tactile_hand_ros.config.model import Config, param
 from tactile_hand_ros.errors import ConfigurationError
 from tactile_hand_ros.ros.middleware import ros_context
-from tactile_hand_ros.ros.parameters import (
-    ConfigParameters,
-    to_params_yaml,
-)
+from tactile_hand_ros.ros.parameters import ConfigParameters, to_params_yaml
 
 Type = Parameter.Type
 

@@ -8,14 +8,7 @@ import pytest
 
 from tactile_hand_ros.closed_loop.record import Record
 from tactile_hand_ros.control.slip.detector import ContactState
-from tactile_hand_ros.run.events import (
-    Asked,
-    Event,
-    alarm_count,
-    asked_events,
-    events,
-    slip_count,
-)
+from tactile_hand_ros.run.events import Asked, Event, alarm_count, asked_events, events, slip_count
 from tactile_hand_ros.scenario.scenario import load_scenario
 
 

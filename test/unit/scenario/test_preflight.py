@@ -49,11 +49,7 @@ def check(**changes):
             PoseError,
             r"\(0.000, 0.000, 3.000\) m is out of reach",
         ),
-        (
-            {"plant__initial_joints": [1.0, 2.0]},
-            ConfigurationError,
-            r"initial_joints has 2 angles",
-        ),
+        ({"plant__initial_joints": [1.0, 2.0]}, ConfigurationError, r"initial_joints has 2 angles"),
         (
             {"plant__initial_joints": [3.2, 0.0, 1.5]},
             ConfigurationError,

@@ -10,11 +10,7 @@ from tactile_hand_ros.config.paths import scenario_names
 from tactile_hand_ros.control.laws import law_of
 from tactile_hand_ros.errors import ConfigurationError
 from tactile_hand_ros.scenario.preflight import check_scenario
-from tactile_hand_ros.scenario.scenario import (
-    Scenario,
-    load_scenario,
-    resolved,
-)
+from tactile_hand_ros.scenario.scenario import Scenario, load_scenario, resolved
 from tactile_hand_ros.simulation.plant_config import PlantConfig
 
 

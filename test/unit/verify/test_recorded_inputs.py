@@ -21,10 +21,7 @@ from support.recorded import (
 
 from tactile_hand_ros.run.run import Run
 from tactile_hand_ros.scenario.scenario import load_scenario, resolved
-from tactile_hand_ros.verify.recorded_inputs import (
-    PARAMETERS,
-    read_inputs,
-)
+from tactile_hand_ros.verify.recorded_inputs import PARAMETERS, read_inputs
 
 SCENARIO = load_scenario("paper", {"duration": 0.1, "targets": []})
 

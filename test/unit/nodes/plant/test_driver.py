@@ -166,9 +166,7 @@ def test_a_paused_plant_takes_no_commands_and_reports_the_answer_to_its_last_tic
     rig.until("paused", 2, answered_ns=4_000_000)
 
 
-def test_a_run_ends_at_its_duration_and_starts_again_with_a_reset(
-    make: Callable[..., Rig],
-) -> None:
+def test_a_run_ends_at_its_duration_and_starts_again_with_a_reset(make: Callable[..., Rig]) -> None:
     rig = make(duration=0.004)
     rig.send(0, 1, 2, 3)
     rig.until("finished", 2, finished=True)
@@ -228,9 +226,7 @@ def test_before_the_first_command_a_silence_only_warns(make: Callable[..., Rig])
     assert "fault state" not in rig.answer(0)
 
 
-def test_two_senders_are_both_refused_until_half_a_second_is_over(
-    make: Callable[..., Rig],
-) -> None:
+def test_two_senders_are_both_refused_until_half_a_second_is_over(make: Callable[..., Rig]) -> None:
     rig = make()
     rig.answer(0, 1, 2, 3)
     rig.send(4, sender=1)  # it may be a successor
@@ -293,9 +289,7 @@ def test_in_real_time_the_first_command_starts_the_clock(make: Callable[..., Rig
     rig.until("finished", 5)
 
 
-def test_in_real_time_a_command_may_be_as_old_as_the_guard_allows(
-    make: Callable[..., Rig],
-) -> None:
+def test_in_real_time_a_command_may_be_as_old_as_the_guard_allows(make: Callable[..., Rig]) -> None:
     """An older command is ignored, and the resulting hold is published once."""
     rig = make(**{"pacing": "realtime", "guard.age_limit": 3, "rate": 100.0})
     rig.send(0)

@@ -176,9 +176,7 @@ def test_a_weaker_publisher_next_to_another_is_taken_too(stage: Stage) -> None:
     assert stage.take(2) == [1, 2]
 
 
-def test_a_publisher_replaced_by_a_best_effort_one_between_two_looks_is_taken(
-    stage: Stage,
-) -> None:
+def test_a_publisher_replaced_by_a_best_effort_one_between_two_looks_is_taken(stage: Stage) -> None:
     """The number of publishers is the same as before; missed messages are counted."""
     strict = stage.publisher(STRICT)
     stage.match(strict)
