@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What every test may rely on, however the suite was started."""
 
-from __future__ import annotations
-
 import signal
 import sys
 from collections.abc import Iterator

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Every script in examples/ runs as a user runs it, and prints its result."""
 
-from __future__ import annotations
-
 import os
 import re
 import subprocess

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """All nodes in one process: the numbers of the closed loop, and ordinary nodes alongside."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The five nodes as processes over real DDS give the numbers of the in-process loop, to the bit."""
 
-from __future__ import annotations
-
 import signal
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager

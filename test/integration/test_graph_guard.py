@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """In real time, at the defaults: a hand whose controller dies while it moves keeps the object."""
 
-from __future__ import annotations
-
 import signal
 from pathlib import Path
 

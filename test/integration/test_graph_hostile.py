@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Hostile bytes, stamps, numbers, parameters and floods: no node ends, and the grip stays."""
 
-from __future__ import annotations
-
 import signal
 import struct
 from collections.abc import Iterator

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Whatever is sent or dies, the object stays in the hand, the nodes say so, and the run goes on."""
 
-from __future__ import annotations
-
 import math
 import signal
 from collections.abc import Iterator

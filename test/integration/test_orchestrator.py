@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The orchestrator with all its processes: results, refusals, signals, deaths, steering."""
 
-from __future__ import annotations
-
 import fcntl
 import json
 import os

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The installations: pip into a virtual environment, colcon into a workspace; and the sdist."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import subprocess

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The recorder as a process of its own, over real DDS: nothing is missing from the bag."""
 
-from __future__ import annotations
-
 import signal
 import time
 from collections.abc import Callable, Iterator

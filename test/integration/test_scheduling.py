@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A node runs as it was asked to run where the system permits it, and says so where not."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A running hand is steered from other processes: no command is lost, refusals are answered."""
 
-from __future__ import annotations
-
 import signal
 from collections.abc import Iterator
 from pathlib import Path

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What the paper claims, end to end in-process: where it holds, where in part, where not."""
 
-from __future__ import annotations
-
 from functools import cache
 
 import numpy as np

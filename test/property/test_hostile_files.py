@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Whatever a file holds, reading it ends in time, with a result or an error of this package."""
 
-from __future__ import annotations
-
 import shutil
 import time
 from collections.abc import Iterator

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Random and damaged bytes are read or refused with `MessageError`; nothing else happens."""
 
-from __future__ import annotations
-
 import struct
 from collections.abc import Callable
 from typing import Any

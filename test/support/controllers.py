@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A controller to test with, and its input for the paper's grasp at rest."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

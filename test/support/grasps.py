@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Grasps to test with: the paper's two layouts and random ones."""
 
-from __future__ import annotations
-
 import numpy as np
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Hands of any size as URDF and YAML, and objects that fit them."""
 
-from __future__ import annotations
-
 import math
 from collections import Counter
 from collections.abc import Sequence

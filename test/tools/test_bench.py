@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """`make bench`: what it measures, saves and refuses; measured runs are real runs."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

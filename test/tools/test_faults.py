@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The fault campaign and the fuzzing of nodes, on real nodes, each for some seconds."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The layers are separate: control has no ROS and no simulation, recordings need no rclpy."""
 
-from __future__ import annotations
-
 import ast
 import re
 from pathlib import Path

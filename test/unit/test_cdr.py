@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Decoding a whole topic at once equals a general decoder message by message."""
 
-from __future__ import annotations
-
 import struct
 from typing import Any
 

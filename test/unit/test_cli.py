@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The command line: output, rejected input, and exit codes."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess

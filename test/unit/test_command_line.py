@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Every command ends with one sentence and the matching exit code."""
 
-from __future__ import annotations
-
 import errno
 import io
 import os

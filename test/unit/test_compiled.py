@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Compiled functions match the present sources, and a damaged cache is repaired."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import subprocess

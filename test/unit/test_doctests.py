@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The examples in the docstrings of the front door and of the law interface."""
 
-from __future__ import annotations
-
 import doctest
 import importlib
 from pathlib import Path

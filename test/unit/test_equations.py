@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """docs/reference/equations.md names existing code that names its equation."""
 
-from __future__ import annotations
-
 import importlib
 import re
 from pathlib import Path

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The package's public names are few, documented, and free until first use."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from pathlib import Path

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The launch file, with stand-ins for launch and launch_ros, which have no wheels."""
 
-from __future__ import annotations
-
 import runpy
 import sys
 import tempfile

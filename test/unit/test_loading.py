@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """An executable loads only the libraries that it needs, because seven start at the same time."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The Makefile in unusual places, and the output of the set-up while pip works."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import subprocess

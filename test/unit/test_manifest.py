@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """package.xml, setup.py, the requirements and the imports agree."""
 
-from __future__ import annotations
-
 import ast
 import sys
 import xml.etree.ElementTree as ElementTree

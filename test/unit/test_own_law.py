@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """User laws: found next to the scenario, checked, and never imported from a bag."""
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 

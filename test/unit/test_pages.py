@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The documentation's examples work as described, and its commands and options exist."""
 
-from __future__ import annotations
-
 import glob
 import importlib.util
 import os

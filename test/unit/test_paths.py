@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A tick takes a short path: few modules between its messages and the answer."""
 
-from __future__ import annotations
-
 import inspect
 import re
 import sys

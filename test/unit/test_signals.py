@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Signals at the worst moment of a wait."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess

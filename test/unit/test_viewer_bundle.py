@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The page's script in the package is built from the source next to it."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import re

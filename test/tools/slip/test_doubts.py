@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Slip prevention is blind to touch that the controller doubts: true touch is never doubted."""
 
-from __future__ import annotations
-
 import pytest
 
 from studies.slip.study import EVENTS, SlipCase, sample_cases, scenario_of

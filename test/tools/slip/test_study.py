@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The slip study: what is measured, on runs made by hand and on real ones, and its statistics."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from pathlib import Path

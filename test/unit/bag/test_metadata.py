@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """metadata.yaml follows version 9 of rosbag2."""
 
-from __future__ import annotations
-
 import yaml
 from hypothesis import example, given
 from hypothesis import strategies as st

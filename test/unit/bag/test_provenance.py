@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A bag records the versions of the software that wrote it."""
 
-from __future__ import annotations
-
 import platform
 from importlib import metadata
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Reading selects topics and times, and reports the defects of a broken bag."""
 
-from __future__ import annotations
-
 import struct
 from pathlib import Path
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Recovery of cut or damaged bags: all intact data returns, nothing is made up or destroyed."""
 
-from __future__ import annotations
-
 import os
 import shutil
 from collections.abc import Callable

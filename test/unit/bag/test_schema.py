@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Schema texts are complete, in rosbag2's order, and define the same type in other readers."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Topics are selected by their full name."""
 
-from __future__ import annotations
-
 import pytest
 
 from tactile_hand_ros.bag.selection import TopicSelection

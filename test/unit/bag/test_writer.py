@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Bags are readable by every reader, even after a failure."""
 
-from __future__ import annotations
-
 import os
 import resource
 import signal

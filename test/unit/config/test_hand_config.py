@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The YAML file of a hand: valid content, and how a hand is found."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

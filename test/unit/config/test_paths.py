@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Finding the configuration directory and the installation prefix of the package."""
 
-from __future__ import annotations
-
 import os
 import sys
 from pathlib import Path

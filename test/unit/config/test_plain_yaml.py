@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Malicious files are rejected immediately, in one sentence, whatever they expand to."""
 
-from __future__ import annotations
-
 import time
 from pathlib import Path
 

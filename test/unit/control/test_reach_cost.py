@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The cost of judging a pose, in evaluated postures, because it is done within a tick."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from support.controllers import TICK, Bench

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What regulator, optimizer and controller publish after ticks, services, commands, parameters."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

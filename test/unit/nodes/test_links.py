@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Each node subscribes to its inputs and publishes the outputs that others need, once per tick."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """An in-process replay: what is published, when, from which time on, and how often."""
 
-from __future__ import annotations
-
 import re
 import time
 from collections.abc import Callable, Iterator

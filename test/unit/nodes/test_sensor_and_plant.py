@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The sensor's messages for true contacts, and the plant's reaction to commands."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

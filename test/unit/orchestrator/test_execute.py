@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """From options to exit code: rejected input, for which nothing is started."""
 
-from __future__ import annotations
-
 import os
 import re
 import signal

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A run waits until all its nodes report that they have matched each other."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import pytest

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A user command: it arrives, and its own answer returns, even while others steer."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from typing import Any
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A monitor takes the newest messages of a hand on demand, over in-process DDS."""
 
-from __future__ import annotations
-
 import io
 from collections.abc import Iterator
 from typing import Any

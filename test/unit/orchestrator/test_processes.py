@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Processes stop in order, by ever stronger signals, and report how they died."""
 
-from __future__ import annotations
-
 import os
 import signal
 import sys

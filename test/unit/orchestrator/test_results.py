@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A run is judged by goal, completeness, failures and signals, with exit code and reasons."""
 
-from __future__ import annotations
-
 import io
 import json
 import math

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Run directories are unique, linked, and hold a scenario for another run."""
 
-from __future__ import annotations
-
 import datetime
 from pathlib import Path
 

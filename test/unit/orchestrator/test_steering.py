@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The orchestrator's commands arrive with their times; a plant's rejection is an error."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from typing import Any
 

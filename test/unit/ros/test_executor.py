@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The node executor serves the same entities as rclpy's, in turn, survives errors, and stops."""
 
-from __future__ import annotations
-
 import signal
 import sys
 import textwrap

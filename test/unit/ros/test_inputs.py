@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A node gets complete ticks, the trigger alone after a timeout, and no tick twice."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The base of all nodes: it survives and reports bad messages and errors, and counts peers."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from pathlib import Path

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Parameters of a node from a configuration: types, ranges, files, changes at run time."""
 
-from __future__ import annotations
-
 import enum
 import math
 import sys

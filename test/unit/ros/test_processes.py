@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Isolated domains, waiting, and processes that leave nothing behind."""
 
-from __future__ import annotations
-
 import os
 import signal
 import sys

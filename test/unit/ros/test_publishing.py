@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A message is encoded once, and only if it has a subscriber."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from typing import Any
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The QoS of each kind of topic, which consumers cannot see from their side."""
 
-from __future__ import annotations
-
 import pytest
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 

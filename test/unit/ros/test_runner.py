@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """How a process of nodes stops: exit code, output, and order of closing."""
 
-from __future__ import annotations
-
 import gc
 import os
 import signal

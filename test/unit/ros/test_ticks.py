@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Ticks are complete, ordered, of one timestamp; slow nodes catch up; two senders are detected."""
 
-from __future__ import annotations
-
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A drop is the moment from which fewer than two fingers touch until the end."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Events are found at the right ticks."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

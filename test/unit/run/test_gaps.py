@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A gap is several missing ticks, or several without touch messages."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Metrics of records that can be computed by hand."""
 
-from __future__ import annotations
-
 import json
 import math
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A run on disk yields the recorded arrays, and reports its defects."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import fields
 from pathlib import Path

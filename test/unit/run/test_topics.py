@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Hands and fingers are found in a bag by their topics."""
 
-from __future__ import annotations
-
 import pytest
 
 from tactile_hand_ros.errors import BagError

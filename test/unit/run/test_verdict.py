@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A run is judged by its goal; quantities unknown to touch do not count against it."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

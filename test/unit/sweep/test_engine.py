@@ -4,8 +4,6 @@
 The cluster is real: a scheduler and two workers.
 """
 
-from __future__ import annotations
-
 import csv
 import json
 from pathlib import Path

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Spaces: their syntax on the command line, and the points in them."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given

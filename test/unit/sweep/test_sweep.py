@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Sweeps: from the command line to the table, and from a row back to its run."""
 
-from __future__ import annotations
-
 import csv
 import json
 from pathlib import Path

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """User changes in a run take effect exactly at their ticks."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """When the plant advances, waits, repeats, holds and ends: over DDS, with a test clock."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from types import SimpleNamespace
 from typing import Any

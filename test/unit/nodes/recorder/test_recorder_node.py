@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The recorder node: what it records, what it reports, how it ends; alone and next to a hand."""
 
-from __future__ import annotations
-
 import os
 import signal
 from collections.abc import Callable, Iterator

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A topic is subscribed with its publishers' QoS, and missing messages are counted."""
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Iterator
 from contextlib import suppress

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A bag written by another process equals the one that this process would write."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess
