@@ -259,12 +259,6 @@ def test_the_files_that_pages_name_exist() -> None:
             assert any(file.endswith(f"/{name}") for file in there), f"{path.name}: {name}"
 
 
-def anchors(text: str) -> set[str]:
-    """Return the anchors of a page's headings, as created by GitHub and the site."""
-    titles = re.findall(r"^#+ (.+)$", re.sub(r"^```.*?^```", "", text, flags=re.M | re.S), re.M)
-    return {re.sub(r"[^\w -]", "", title.lower()).strip().replace(" ", "-") for title in titles}
-
-
 @pytest.mark.parametrize("name", ["README.md", "CONTRIBUTING.md", "SECURITY.md"])
 def test_links_into_the_tree_lead_somewhere(name: str) -> None:
     """Links between pages of the site are checked when it is built."""

@@ -92,14 +92,6 @@ def test_a_torque_may_stay_the_same_while_the_joints_rest():
     assert not made.holds
 
 
-def moving(seed=3, ticks=8):
-    """Return joint rates and torques of some ticks."""
-    random = np.random.default_rng(seed)
-    return 0.1 * random.standard_normal((ticks, 9)), TORQUE + 0.1 * random.standard_normal(
-        (ticks, 9)
-    )
-
-
 def test_where_no_time_has_passed_nothing_presses():
     made, pressing = guard(**{"hold.reserve": 0.0}), TORQUE + 1.0
     made.step(5 * TICK, THETA, STILL, TorqueCommand(5 * TICK, pressing))

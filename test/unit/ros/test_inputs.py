@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from tactile_hand_ros import names
 from tactile_hand_ros.errors import TactileHandError
@@ -17,10 +16,7 @@ from tactile_hand_ros.ros.messages import ContactsCodec, JointCodec, Joints, Wre
 from tactile_hand_ros.ros.ticks import TickInputs
 from tactile_hand_ros.rotations import rotation_from_quaternion
 
-Array = NDArray[np.float64]
-
 MS = 1_000_000
-DAY = 86_400_000 * MS
 HAND = Hand.load("paper")
 FINGERS = HAND.finger_names
 THETA, RATES = np.linspace(0.1, 0.9, 9), np.linspace(-2.0, 3.0, 9)
