@@ -276,7 +276,6 @@ def test_two_hands_in_one_domain_do_not_disturb_each_other(tmp_path: Path) -> No
 
 
 def test_real_time_runs_at_the_pace_of_the_wall_clock(tmp_path: Path) -> None:
-    """Time passes without waiting for anybody, and what came too late is counted."""
     scenario = short(**{"duration": 1.0, "plant.pacing": "realtime", "plant.rate": 200.0})
     with isolated_domain() as domain, Graph(scenario, domain, tmp_path) as graph:
         began = graph.node.get_clock().now().nanoseconds

@@ -263,7 +263,6 @@ def test_ctrl_c_while_libraries_load_is_no_traceback(start: Start, tmp_path: Pat
 
 
 def test_death_of_a_node_is_named_and_ends_the_run(start: Start, tmp_path: Path) -> None:
-    """Exit code 1; what was recorded is readable and summed up."""
     orchestrator = start("--scenario", "paper", "--duration", "600", "--quiet")
     wait_until_running(tmp_path, orchestrator)
     processes = family(orchestrator)
@@ -295,7 +294,6 @@ def broken_prefix(folder: Path, name: str, program: str) -> dict[str, str]:
 def test_node_that_cannot_start_is_reported_at_once(
     start: Start, near: Path, tmp_path: Path
 ) -> None:
-    """By name, with its code and its last line; the others are ended."""
     program = "#!/bin/sh\necho first >&2\necho the cable is loose >&2\nexit 3\n"
     environment = broken_prefix(tmp_path / "prefix", "tactile_sensor", program)
     orchestrator = start("--scenario", near, "--startup-timeout", "80", env=environment)
@@ -306,7 +304,6 @@ def test_node_that_cannot_start_is_reported_at_once(
 
 
 def test_missing_node_is_named_with_its_topics(start: Start, near: Path, tmp_path: Path) -> None:
-    """After the deadline, with what it said last."""
     program = "#!/bin/sh\necho waiting for the bus\nexec tail -f /dev/null\n"
     environment = broken_prefix(tmp_path / "prefix", "slip_regulator", program)
     orchestrator = start("--scenario", near, "--startup-timeout", "2", env=environment)

@@ -90,7 +90,6 @@ def joint_state(i: int) -> JointState:
 def test_everything_sent_before_the_end_is_in_the_bag(
     start: Callable[..., CapturedProcess], node: Node, tmp_path: Path
 ) -> None:
-    """The signal follows the last message immediately; count, order and bytes are complete."""
     joints = node.create_publisher(JointState, "left/joint_states", DEEP)
     wrench = node.create_publisher(WrenchStamped, "left/tactile/index/wrench", DEEP)
     clock = node.create_publisher(Clock, "/clock", DEEP)

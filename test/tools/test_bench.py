@@ -61,7 +61,6 @@ def test_a_run_that_is_refused_is_an_error_with_its_reason() -> None:
 
 
 def test_ticks_go_round_by_messages_alone() -> None:
-    """Between two processes, and among the nodes of each."""
     assert rate((",".join(NODES[:2]), ",".join(NODES[2:])), 20, recorded=False) > 0.0
 
 

@@ -48,7 +48,6 @@ def test_wrenches(given: list[tuple[int, str, list[float]]], little: bool) -> No
 @settings(max_examples=50)
 @given(st.lists(names, max_size=4), st.booleans(), st.booleans(), st.booleans())
 def test_joint_states(joints: list[str], position: bool, velocity: bool, effort: bool) -> None:
-    """Any of the three fields may be empty."""
     values = np.arange(1.0, len(joints) + 1.0)
     present = {"position": position, "velocity": velocity, "effort": effort}
     fields = {name: values * 10.0 for name, there in present.items() if there}

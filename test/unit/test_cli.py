@@ -46,7 +46,6 @@ def refused(capsys: pytest.CaptureFixture[str], *arguments: str | Path) -> str:
 
 @pytest.mark.parametrize("words", [["--help"], ["run", "--help"]])
 def test_help_loads_nothing_heavy(words: list[str]) -> None:
-    """Help must appear immediately."""
     loading = f"import sys, tactile_hand_ros.cli as c; c.main({words});"
     code = f"{loading} print(*sys.modules, file=sys.stderr)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
@@ -128,7 +127,6 @@ def test_a_summary_of_a_hand_that_is_elsewhere_lacks_its_assumptions(
 
 
 def test_recover(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """The error names a command that creates a readable bag."""
     file = run / "bag" / "bag_0.mcap"
     assert main(["recover", str(run), "--out", str(run / "copy")]) == 0
     assert capsys.readouterr().out.endswith("nothing is lost\n")

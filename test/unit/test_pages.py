@@ -86,7 +86,6 @@ def check_agreement(redrawn: str, text: str) -> None:
 def test_the_tutorial_shows_what_its_commands_print(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """All runs of the page, and all its other commands on their output."""
     text = page("docs/tutorials/getting-started.md")
 
     def keep(words: str, scenario: Scenario, record: Record) -> None:

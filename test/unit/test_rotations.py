@@ -109,7 +109,6 @@ def test_sine_and_cosine_of_a_rotation_are_exact_each_for_itself(size):
 
 @pytest.mark.parametrize("axis", [(3, -4, 12), (0, 3, -4), (4, 0, -3), (1, -2, 2), (2, 6, -9)])
 def test_of_both_axes_of_a_half_turn_the_first_component_is_positive(axis):
-    """Whichever component is the largest."""
     unit = np.array(axis) / np.linalg.norm(axis)
     rotation = 2.0 * np.outer(unit, unit) - np.eye(3)
     np.testing.assert_allclose(quaternion_from_rotation(rotation), [*unit, 0.0], atol=1e-15)

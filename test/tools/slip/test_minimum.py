@@ -51,7 +51,6 @@ def test_without_friction_nothing_carries_a_weight() -> None:
 
 
 def test_nothing_to_carry_needs_nothing() -> None:
-    """The smallest sum for no wrench is zero."""
     assert minimum_grasp_force(OPPOSED, np.zeros(6), 0.5) == pytest.approx(0.0, abs=1e-9)
 
 
@@ -92,7 +91,6 @@ def test_no_more_than_any_forces_inside_the_cones(seed: int, mu: float) -> None:
 @settings(max_examples=20)
 @given(seed=st.integers(0, 10**6))
 def test_the_frame_of_the_palm_does_not_matter(seed: int) -> None:
-    """Contacts and wrench turned together need the same."""
     turn = Rotation.random(random_state=seed).as_matrix()
     wrench = np.array([0.5, -0.3, 2.0, 0.01, 0.0, 0.02])
     turned = Contacts(OPPOSED.positions @ turn.T, turn @ OPPOSED.rotations)

@@ -64,7 +64,6 @@ def test_cases_fill_their_ranges_and_repeat() -> None:
 
 
 def test_nothing_slides_nothing_is_measured(run: Record) -> None:
-    """Without sliding there is neither an onset nor a delay."""
     outcome = measured(made_up(run))
     assert math.isnan(outcome["onset"]) and math.isnan(outcome["detection"])
     assert math.isnan(outcome["reaction"])
@@ -88,7 +87,6 @@ def test_delays_are_counted_from_the_onset_of_the_contact_that_slides(run: Recor
 
 
 def test_no_answer_is_infinitely_late(run: Record) -> None:
-    """A slip without an alarm counts, and counts as worse than any other."""
     record = made_up(run)
     record.true_sliding[150:180, 1] = 0.01
     outcome = measured(record)
@@ -96,7 +94,6 @@ def test_no_answer_is_infinitely_late(run: Record) -> None:
 
 
 def test_a_contact_that_is_gone_or_has_slid_far_is_lost(run: Record) -> None:
-    """Both are no grasp any more."""
     gone, far = made_up(run), made_up(run)
     far.true_slid[-1, 0] = 2.0 * study.LOST_SLIDE
     positions = gone.true_positions.copy()
@@ -152,7 +149,6 @@ def test_the_papers_manipulation_gives_no_false_alarm() -> None:
 def test_a_small_study_gives_its_tables_and_figure(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Two events, one pull and one run held for each knowledge of the friction."""
     monkeypatch.setattr(study, "HELD", {"known": 0.3, "unknown": 0.3})
     with workers(1):
         tally = keep(study.study_of(2, 0), tmp_path)

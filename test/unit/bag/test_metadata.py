@@ -93,7 +93,6 @@ def test_what_is_written_reads_back(tree: dict[str, object]) -> None:
 
 
 def test_a_profile_of_the_graph_keeps_all_its_policies() -> None:
-    """Rosbags reads the QoS profile from the channel of a topic."""
     profile = QoSProfile(
         history=HistoryPolicy.KEEP_LAST,
         depth=7,

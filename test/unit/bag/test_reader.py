@@ -29,7 +29,6 @@ def bag(tmp_path: Path) -> Path:
 
 
 def test_topics_can_be_chosen(bag: Path) -> None:
-    """One topic, none, an absent one, all."""
     assert [m.log_time for m in read_messages(bag, ["/odd"])] == list(range(1, 20, 2))
     assert list(read_messages(bag, [])) == []
     assert list(read_messages(bag, ["/absent"])) == []
@@ -41,7 +40,6 @@ def test_messages_are_decoded(bag: Path) -> None:
 
 
 def test_summary(bag: Path) -> None:
-    """Counts by topic, types, first and last log time."""
     summary = summarize(bag)
     assert summary.counts == {"/even": 10, "/odd": 10}
     assert summary.types["/odd"] == "std_msgs/msg/Float64"
@@ -100,7 +98,6 @@ def test_folder_without_metadata(bag: Path) -> None:
 
 @pytest.mark.parametrize("size", [0, 4, 8, 100, 600, -1, -9, -40])
 def test_truncated_file(bag: Path, size: int) -> None:
-    """Wherever the file ends, the error names the remedy."""
     path = bag / "run_0.mcap"
     path.write_bytes(path.read_bytes()[:size])
     with pytest.raises(BagError, match=f"tactile-hand recover {bag}"):
@@ -122,7 +119,6 @@ def test_damaged_chunk_is_found_while_reading(bag: Path) -> None:
 
 @pytest.mark.parametrize("data", [b"", b"\0\1\0\0", b"\0\1\0\0" + bytes(3)])
 def test_message_that_is_no_message(tmp_path: Path, data: bytes) -> None:
-    """Bytes that cannot be decoded are an error, too; raw reading returns them."""
     with BagWriter(tmp_path / "run") as writer:
         writer.write(writer.add_channel("/x", "std_msgs/msg/Float64"), data, 1, 1)
     [found] = read_messages(tmp_path / "run")
@@ -145,7 +141,6 @@ def test_message_that_is_no_message(tmp_path: Path, data: bytes) -> None:
     ],
 )
 def test_damaged_metadata_are_refused(bag: Path, old: str, new: str) -> None:
-    """Invalid numbers, names that lead elsewhere, deeply nested text."""
     file = bag / "metadata.yaml"
     text = file.read_text()
     assert old in text

@@ -63,7 +63,6 @@ def whole(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFacto
 def test_cut_at_any_byte_all_whole_chunks_come_back(
     whole: Path, tmp_path_factory: pytest.TempPathFactory, part: float
 ) -> None:
-    """The recovered messages have no gap; the original is unchanged."""
     folder = tmp_path_factory.mktemp("cut") / "run"
     shutil.copytree(whole, folder)
     file = folder / "run_0.mcap"
@@ -137,7 +136,6 @@ def test_zeros_at_the_end_are_no_records(tmp_path: Path) -> None:
 
 
 def test_bag_of_others_of_several_files(tmp_path: Path) -> None:
-    """The new file has the messages of all files, with types, schemas and offers."""
     store = get_typestore(Stores.ROS2_JAZZY)
     folder = tmp_path / "foreign"
     folder.mkdir()
@@ -205,7 +203,6 @@ def test_the_last_custom_data_count_and_other_records_are_kept(tmp_path: Path) -
 
 
 def test_offers_of_older_versions_have_names_afterwards(tmp_path: Path) -> None:
-    """Unreadable offers are omitted."""
     text = dump([{**LATCHED, "history": 1, "reliability": 2, "durability": 1, "liveliness": 1}])
     [topic] = recover(foreign_file(tmp_path / "x.mcap", text)).metadata.topics
     [offer] = topic.offers
@@ -219,7 +216,6 @@ def test_offers_of_older_versions_have_names_afterwards(tmp_path: Path) -> None:
 
 
 def test_refusals(tmp_path: Path) -> None:
-    """Each error names the problem; nothing is created."""
     (tmp_path / "empty").mkdir()
     (tmp_path / "empty" / "run_0.mcap.zstd").touch()  # compressed by rosbag2, not by MCAP
     (tmp_path / "text.mcap").write_text("not an MCAP file")
@@ -239,7 +235,6 @@ def test_refusals(tmp_path: Path) -> None:
 def test_the_bag_of_a_run_is_found_in_its_folder(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The new folder is next to the bag, even if its name is relative."""
     write_bag(tmp_path / "run" / "bag", count=2)
     assert find_bag(tmp_path / "run") == tmp_path / "run" / "bag"
     assert recover(tmp_path / "run").target == tmp_path / "run" / "bag_recovered"

@@ -26,7 +26,6 @@ def source(package: str, name: str) -> str:
 
 
 def test_text_is_the_files_with_separators() -> None:
-    """Byte for byte: the root without a heading, then each used type once, under its heading."""
     expected = (
         source("geometry_msgs", "WrenchStamped")
         + f"\n{LINE}MSG: geometry_msgs/Wrench\n"
@@ -67,7 +66,6 @@ def package(root: Path, monkeypatch: pytest.MonkeyPatch, **files: str) -> None:
 def test_arrays_comments_and_line_ends_are_kept(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Types of arrays are found and sorted; the text is unchanged."""
     root = "# µ\r\nZ[<=3] z\nstring<=4 s\nA[2]  a # B b\nmy_msgs/M m\nint32 N=1\n"
     package(tmp_path, monkeypatch, Root_dot_msg=root, Z_dot_msg="bool z\n", A_dot_msg="Z z",
             M_dot_msg="bool m\n")  # fmt: skip
@@ -91,6 +89,5 @@ def test_what_every_message_may_hold_is_no_type_of_its_own(
 
 @pytest.mark.parametrize("name", ["no_such_msgs/msg/A", "std_msgs/msg/NoSuchType", "nonsense", ""])
 def test_unknown_type_is_an_error_that_names_it(name: str) -> None:
-    """The error names the type and the searched places."""
     with pytest.raises(BagError, match=f"'{name}'.*AMENT_PREFIX_PATH"):
         message_definition(name)

@@ -21,12 +21,10 @@ from tactile_hand_ros.nodes.recorder.config import RecorderConfig
     ],
 )
 def test_patterns_match_the_whole_name(topic: str, chosen: bool) -> None:
-    """Exclusion wins over inclusion; hidden topics are never chosen."""
     assert (topic in TopicSelection(["/left/.*"], [".*/debug"])) is chosen
 
 
 def test_everything_is_the_default() -> None:
-    """This includes simulated time, logs, diagnostics, parameters and namespaces."""
     config = RecorderConfig(output="bag")
     selection = TopicSelection(config.topics, config.exclude)
     names = ["/clock", "/rosout", "/diagnostics", "/hand/tactile/contacts", "/parameter_events"]
@@ -35,6 +33,5 @@ def test_everything_is_the_default() -> None:
 
 @pytest.mark.parametrize("key", ["topics", "exclude"])
 def test_broken_pattern_is_refused_with_its_place(key: str) -> None:
-    """The error names the key and the pattern."""
     with pytest.raises(ConfigurationError, match=rf"{key}.*'\(' is not a valid regular expression"):
         from_flat(RecorderConfig, {"output": "bag", key: ["("]})

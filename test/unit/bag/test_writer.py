@@ -45,7 +45,6 @@ def add_string(writer: BagWriter, topic: str = "/chatter") -> int:
 
 @pytest.mark.parametrize("compression", ["none", "lz4", "zstd"])
 def test_rosbags_reads_back_what_was_written(tmp_path: Path, compression: str) -> None:
-    """Counts, times, types, QoS and bytes."""
     sent = [payload(f"message {i}") for i in range(3000)]
     with BagWriter(tmp_path / "run", compression=compression, chunk_size=4096) as writer:
         channel, other = add_string(writer), add_string(writer, "/left/other")
@@ -63,7 +62,6 @@ def test_rosbags_reads_back_what_was_written(tmp_path: Path, compression: str) -
 
 
 def test_mcap_holds_what_rosbag2_puts_there(tmp_path: Path) -> None:
-    """Profile, schema, channel texts, sequence zero, both times, metadata at open and at close."""
     with BagWriter(tmp_path / "run", compression="zstd") as writer:
         writer.write(add_string(writer), payload("x"), 2_000, 1_000)
     with writer.path.open("rb") as stream:
@@ -93,7 +91,6 @@ def message_count(record: Metadata) -> Any:
 
 
 def test_bag_without_messages_is_valid(tmp_path: Path) -> None:
-    """A channel without messages, or no channel."""
     with BagWriter(tmp_path / "silent") as writer:
         add_string(writer)
     BagWriter(tmp_path / "new" / "empty").close()
@@ -107,7 +104,6 @@ def test_bag_without_messages_is_valid(tmp_path: Path) -> None:
 
 
 def test_refusals(tmp_path: Path) -> None:
-    """Nothing is overwritten or created."""
     (tmp_path / "folder").mkdir()
     (tmp_path / "file").write_text("precious")
     for name in ("folder", "file"):
@@ -146,7 +142,6 @@ def test_full_disk_is_a_clear_error_and_what_was_written_can_be_recovered(
 
 
 def test_flushed_messages_survive_a_killed_process(tmp_path: Path) -> None:
-    """Flushed data is on disk, byte for byte, before SIGKILL."""
     code = (
         "import os, signal, sys; from tactile_hand_ros.bag.writer import BagWriter\n"
         "w = BagWriter(sys.argv[1], compression='lz4')\n"
@@ -176,7 +171,6 @@ def test_any_bytes_and_times_come_back(
     messages: list[tuple[bool, bytes, int, int]],
     compression: str,
 ) -> None:
-    """Payloads are opaque and are returned unchanged, in order of log time."""
     folder = tmp_path_factory.mktemp("bags") / "run"
     with BagWriter(folder, compression=compression, chunk_size=256) as writer:
         channels = [add_string(writer, "/a"), add_string(writer, "/b")]
@@ -193,7 +187,6 @@ def test_any_bytes_and_times_come_back(
 
 
 def test_what_a_bag_says_before_it_is_closed(tmp_path: Path) -> None:
-    """Counts by topic, bytes, times; a message at time zero has no duration."""
     writer = BagWriter(tmp_path / "run")
     first, second = add_string(writer, "/b"), add_string(writer, "/a")
     assert (first, second) == (1, 2)

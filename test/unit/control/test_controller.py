@@ -402,7 +402,6 @@ def let_go(bench):
 
 @pytest.mark.parametrize("interrupt", [lambda bench: None, miss, idle, let_go])
 def test_reset_forgets_everything(interrupt):
-    """After a reset, the answers are those of a new controller, whatever came before."""
     bench, fresh = strained(interrupt), Bench(**EVERYTHING)
     bench.controller.command(bench.target(0.0, 0.05, 0.0), stamp=bench.stamp + 3 * TICK)
     bench.controller.reset()

@@ -177,7 +177,6 @@ def test_the_load_is_the_largest_net_force(hand):
 
 @pytest.mark.parametrize("finger", range(3))
 def test_each_contact_is_judged_by_its_own_friction_and_evidence(grasp, finger):
-    """The other two are unknown."""
     known = np.where(np.arange(3) == finger, STICK, LOOSE)
     watch, evidence = SlipMonitor(), np.array([0.2, 0.5, 0.9])
     note(watch, 0, grasp[1], grip=known, evidence=evidence)

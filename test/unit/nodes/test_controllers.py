@@ -210,7 +210,6 @@ def _of(value: float) -> Any:
 
 
 def test_a_late_regulator_uses_the_ticks_that_it_does_not_answer(here: Process) -> None:
-    """A slip shows in consecutive samples."""
     whole, late = here.make(SlipRegulatorNode), here.make(SlipRegulatorNode)
     sent, forces = tapped(late), [PUSH * (1.0 + 0.1 * np.sin(row)) for row in range(30)]
     for row, force in enumerate(forces):

@@ -262,7 +262,6 @@ def test_nothing_is_reset_before_the_controller_is_there_and_the_sender_of_joint
 
 
 def test_without_a_hand_there_is_one_sentence(context: Context) -> None:
-    """It names the domain and namespace."""
     domain = context.get_domain_id()
     absent = f"no hand is running in ROS domain {domain} and namespace '/nowhere'"
     with graph_node(context, "user", "/nowhere") as node:

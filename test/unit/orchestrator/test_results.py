@@ -216,7 +216,6 @@ def test_deadlines_are_those_of_the_time_that_was_asked_for_or_of_the_user(
 
 
 def test_a_summary_holds_for_every_number_that_is_missing(tmp_path: Path) -> None:
-    """NaN becomes null."""
     record = ClosedLoop(PLAN.scenario).run()
     record.auxiliary_position[-1] = math.nan
     directory = RunDirectory(tmp_path)

@@ -17,7 +17,6 @@ NOON = datetime.datetime(2030, 1, 2, 12, 0, 0)
 
 @pytest.mark.parametrize("name", scenario_names())
 def test_resolved_scenario_loads_back_to_the_same_values(name: str, tmp_path: Path) -> None:
-    """Shared values are written once."""
     scenario = load_scenario(name, {"seed": 7, "plant.object.friction": 0.5})
     path = RunDirectory(tmp_path).scenario
     text = RunDirectory(tmp_path).write_scenario(scenario)

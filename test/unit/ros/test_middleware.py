@@ -51,8 +51,6 @@ def test_what_the_user_has_chosen_stays(given: dict[str, str]) -> None:
 
 
 def test_without_a_configuration_nothing_is_set(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The user of the configuration reports that it is missing."""
-
     def fail() -> Path:
         raise ConfigurationError("no configuration")
 

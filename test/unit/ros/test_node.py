@@ -211,7 +211,6 @@ def test_health_is_reported_when_a_peer_comes_or_goes(here: Process, node: Examp
 
 
 def test_peers_are_counted_by_topic_and_end(here: Process, node: Example) -> None:
-    """Including those that no executor serves."""
     node.create_publisher(Float64, "z", 1)
     subscribe_directly(node, Float64, "z", QoSProfile(depth=1))
 

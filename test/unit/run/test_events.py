@@ -84,7 +84,6 @@ def test_alarms_of_all_fingers_are_counted(record: Record) -> None:
 def test_a_reaction_is_a_rise_by_two_percent_within_a_quarter_of_a_second(
     record: Record, row: int, force: float, count: int
 ) -> None:
-    """It is relative to the grasp force before the alarm."""
     record.grip[33:38, 0] = ContactState.SLIP
     record.grasp_force[row:] = force
     found = [each for each in events(record) if each.kind == "reaction"]

@@ -137,7 +137,6 @@ def test_forces(forces: list[float], worst: float, total: float) -> None:
 
 
 def test_lost_contacts() -> None:
-    """Ticks without messages do not count."""
     record = still_record()
     record.contact_positions[6:8, 1] = record.contact_positions[7, 2] = np.nan
     record.forces[6:8, 1] = 0.0
@@ -173,7 +172,6 @@ def test_peak_rate() -> None:
 
 
 def test_what_turns_as_one_neither_moves_in_the_grasp_nor_rolls() -> None:
-    """About another axis at every tick, with an object that is tilted in the hand."""
     record, random = still_record(), np.random.default_rng(7)
     askew, place, spots = rotation_from_vector([0.5, -0.9, 0.2]), random.normal(size=3), np.eye(3)
     for tick in range(len(record)):

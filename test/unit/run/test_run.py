@@ -79,7 +79,6 @@ class TestRecord:
         assert run.earlier == []
 
     def test_no_contact_has_no_frame_either(self, tmp_path: Path) -> None:
-        """The frame of a missing contact is ignored."""
         record = random_record()
         record.contact_positions[3, 1] = np.nan
         record.contact_positions[4, 2, 0] = np.nan
@@ -124,7 +123,6 @@ class TestRecord:
         assert np.isnan(Run(tmp_path / "bag", fingers=["finger_1"]).record.contact_positions).all()
 
     def test_fingers_are_in_the_order_of_the_scenario(self, tmp_path: Path) -> None:
-        """Names of another hand are not used."""
         record = random_record()
         said = {"scenario": resolved(load_scenario("paper"))}
         run = Run(write_record(tmp_path / "bag", record, custom_data=said))
@@ -181,7 +179,6 @@ class TestFolders:
         assert Run(folder).metrics.goal_reached is False
 
     def test_scenario_of_another_version(self, folder: Path) -> None:
-        """The recorded arrays are available nevertheless."""
         (folder / "scenario.yaml").write_text("duratoin: 3.0\n")
         run = Run(folder)
         assert "scenario.yaml: unknown key 'duratoin'" in run.scenario_problem

@@ -75,7 +75,6 @@ def write(folder: Path, scenario: Scenario, record: Record, *changes: tuple[int,
 def test_same_configuration_gives_the_same_bits(
     name: str, request: pytest.FixtureRequest, tmp_path: Path
 ) -> None:
-    """Every topic at every tick."""
     scenario, record = request.getfixturevalue(name)
     result = recompute(write(tmp_path, scenario, record))
     assert [c for c in result.comparisons if not c.same] == []
@@ -83,7 +82,6 @@ def test_same_configuration_gives_the_same_bits(
 
 
 def test_first_tick_that_differs_is_named(paper: tuple[Scenario, Record], tmp_path: Path) -> None:
-    """A single bit of a number."""
     scenario, record = paper
     record = copy.deepcopy(record)
     record.command[123, 4] = np.nextafter(record.command[123, 4], np.inf)
@@ -178,7 +176,6 @@ def test_a_bag_cannot_import_a_law(
 
 
 def test_run_without_scenario_is_refused(paper: tuple[Scenario, Record], tmp_path: Path) -> None:
-    """Nothing is guessed."""
     with RunWriter(tmp_path / "bag") as bag:
         write_tick(bag, paper[1], 0, START)
     with pytest.raises(BagError, match="configuration of .* is unknown"):
@@ -329,7 +326,6 @@ def test_poses_that_wait_and_overtake_each_other_are_followed_as_they_were(tmp_p
 def test_commands_tell_by_their_exit_code(
     paper: tuple[Scenario, Record], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """0 if all is identical, 1 if not, 2 if the law is invalid."""
     scenario, record = paper
     run = str(write(tmp_path / "good", scenario, record).path)
     assert main(["replay", run, "--recompute"]) == 0

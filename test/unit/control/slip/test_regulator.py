@@ -102,7 +102,6 @@ def test_a_new_limit_takes_hold_at_once_and_leaves_no_jump_for_when_it_is_lifted
 
 
 def test_the_limits_hold_for_what_the_object_needs_too():
-    """One that needs less than the minimum, and one that needs more than the maximum."""
     contacts = three_faces()
     light = np.array([[0.0, 0.5, 0.05], [0.0, 0.5, 0.05], [0.0, 0.1, 0.0]])
     heavy = np.array([[0.0, 1.0, 4.0]] * 3)
@@ -166,7 +165,6 @@ def test_a_start_outside_the_limits_is_refused():
 
 
 def test_touch_does_not_change_what_the_user_asked_for():
-    """In the mode `user`, the regulator ignores a heavy measured load."""
     from support.plants import plant
 
     contacts = plant().state.contacts
@@ -176,7 +174,6 @@ def test_touch_does_not_change_what_the_user_asked_for():
 
 
 def test_a_change_of_mode_makes_no_jump():
-    """The grasp force falls or rises to the requested one at the user's rates."""
     from support.plants import plant
 
     contacts, forces = plant().state.contacts, np.array([[0.5, 2.0, 0.8]] * 3)
@@ -327,7 +324,6 @@ def test_a_reserve_is_kept_up_to_four_fifths_of_the_limit_and_a_need_to_all_of_i
 
 
 def test_a_tick_that_comes_twice_changes_nothing():
-    """Whatever the repeated message contains."""
     once, twice = regulator(mode="auto"), regulator(mode="auto")
     random = np.random.default_rng(4)
     for i in range(200):

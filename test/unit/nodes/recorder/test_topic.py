@@ -253,7 +253,6 @@ def test_a_type_name_imports_installed_interfaces_only(
     + ["std_msgs/msg/__name__", "std_srvs/srv/Trigger", "std_msgs/msg/Float64\n", "x" * 10_000],
 )
 def test_what_is_no_type_name_is_refused(name: str) -> None:
-    """No import is attempted."""
     with pytest.raises(BagError, match="is not a type name, expected package/msg/Type") as caught:
         message_class(name)
     assert len(str(caught.value)) < 250
