@@ -39,19 +39,15 @@ def test_a_weight_between_opposed_fingers_needs_weight_over_mu(mu: float) -> Non
     assert 2.0 / mu * (1 - 1e-9) <= force <= 2.0 / mu * EXACT
 
 
-def test_a_push_along_the_normals_needs_no_friction() -> None:
-    """One finger alone carries a push towards it."""
-    force = minimum_grasp_force(OPPOSED, np.array([3.0, 0.0, 0.0, 0.0, 0.0, 0.0]), 0.0)
-    assert force == pytest.approx(3.0, rel=1e-9)
-
-
-def test_without_friction_nothing_carries_a_weight() -> None:
-    """The normals are horizontal."""
-    assert math.isinf(minimum_grasp_force(OPPOSED, np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0]), 0.0))
-
-
-def test_nothing_to_carry_needs_nothing() -> None:
-    assert minimum_grasp_force(OPPOSED, np.zeros(6), 0.5) == pytest.approx(0.0, abs=1e-9)
+@pytest.mark.parametrize(
+    ("force", "mu", "needed"),
+    [([3.0, 0.0, 0.0], 0.0, 3.0), ([0.0, 0.0, 1.0], 0.0, math.inf), ([0.0] * 3, 0.5, 0.0)],
+)
+def test_only_what_acts_along_the_normals_is_carried_without_friction(
+    force: list[float], mu: float, needed: float
+) -> None:
+    found = minimum_grasp_force(OPPOSED, np.array([*force, 0.0, 0.0, 0.0]), mu)
+    assert found == pytest.approx(needed, rel=1e-9, abs=1e-9)
 
 
 def test_the_slipperier_side_sets_the_force() -> None:
