@@ -122,23 +122,6 @@ def test_other_gains_of_law_8_act_at_once(grip):
     np.testing.assert_array_equal(grip.torque("kawamura", law=law).internal, expected)
 
 
-def rigid_rates(grip, twist):
-    """Return the joint rates at which the contacts follow a twist of the grasp, (6)."""
-    points = grip.contacts.positions
-    return np.linalg.solve(grip.jacobian, grasp_map(points, points.mean(axis=0)).T @ twist)
-
-
-@pytest.mark.parametrize("name", ["optimal", "contact"])
-@pytest.mark.parametrize("seed", range(4))
-def test_the_grasp_force_does_no_work_when_the_grasp_moves_as_one(name, seed):
-    grip = Grip(seed)
-    force = grip.torque(name).internal
-    for twist in np.eye(6):
-        rates = rigid_rates(grip, twist)
-        assert force @ rates == pytest.approx(0.0, abs=1e-8 * np.linalg.norm(rates))
-    assert np.linalg.norm(force) > 0.1
-
-
 def integral_law(**integral):
     return ManipulationLaw(LawConfig(k_p=0.0, k_o=0.0, integral=integral), RADII)
 
