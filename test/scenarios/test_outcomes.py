@@ -10,6 +10,7 @@ from studies.slip.minimum import minimum_against
 from studies.slip.study import SLIDING
 from tactile_hand_ros.config.hand_config import load_hand_config
 from tactile_hand_ros.control.contact import Contacts
+from tactile_hand_ros.control.slip.detector import ContactState
 from tactile_hand_ros.hand.urdf import finger_weight
 from tactile_hand_ros.run.derived import rotation_error
 from tactile_hand_ros.scenario.scenario import load_scenario
@@ -27,7 +28,7 @@ SURVIVABLE = {name: name != "crush_limit" for name in SCENARIOS}
 # Until the hand has come to rest after the last event; `hold` until all friction is explored.
 WITH_END = {"hold": 15.0, "pull": 7.0, "user_grip": 7.2, "shake": 6.5}
 WITH_END |= {"lost_contact": 5.5, "heavy": 5.0, "slippery": 4.5, "lift": 4.5, "crush_limit": 4.5}
-WITH_END |= {"human_hold": 6.0, "human_lift": 4.5}
+WITH_END |= {"human_hold": 6.0, "human_lift": 4.5, "human_turn": 7.0}
 # Without: until the object has gone, or as long as shows that it stays.
 WITHOUT_END = {"hold": 3.0, "gravity": 3.0, "forearm": 5.6, "pull": 2.5, "user_grip": 4.5}
 WITHOUT_END |= {"shake": 3.1, "lost_contact": 3.5, "heavy": 2.6, "slippery": 3.5, "lift": 3.0}
@@ -117,22 +118,16 @@ def test_the_goal_is_reached(records, name):
 
 @pytest.mark.parametrize("name", SCENARIOS)
 def test_the_grasp_force_stays_below_the_crush_limit_and_the_object_in_the_hand(records, name):
-    record, limit = records[name, True], load_scenario(name).slip_regulator.maximum
-    assert record.grasp_force.max() <= limit
+    """Whether a grasp inside the limit can hold is computed apart, by linear programming."""
+    record, scenario = records[name, True], load_scenario(name, changes_of(name))
+    assert record.grasp_force.max() <= scenario.slip_regulator.maximum
+    assert survival(record, scenario).possible == SURVIVABLE[name]
     assert not dropped(record)
 
 
 @pytest.mark.parametrize("name", SCENARIOS)
 def test_without_slip_prevention_the_object_is_dropped_where_it_matters(records, name):
     assert dropped(records[name, False]) == (name in LOST_WITHOUT)
-
-
-@pytest.mark.parametrize("name", SCENARIOS)
-def test_what_a_grasp_inside_the_crush_limit_can_survive_is_survived(records, name):
-    """Whether it can is computed apart from the law: by linear programming on the true load."""
-    record, scenario = records[name, True], load_scenario(name, changes_of(name))
-    assert survival(record, scenario).possible == SURVIVABLE[name]
-    assert not dropped(record)
 
 
 @pytest.mark.parametrize("name", [s for s in SCENARIOS if s != "user_grip"])
@@ -171,6 +166,8 @@ def test_with_slip_prevention_it_is_held_more_gently(records):
     """Where the user's grasp force is more than enough, the object needs a fraction of it."""
     with_, without = records["gravity", True], records["gravity", False]
     assert with_.grasp_force[-1] < 0.95 * without.grasp_force[-1]
+    # There is no false alarm while the object is moved with a noisy skin.
+    assert (with_.grip[100:] == ContactState.STICK).all()
 
 
 def test_a_lost_contact_is_held_safely_and_comes_back(records):
@@ -179,6 +176,7 @@ def test_a_lost_contact_is_held_safely_and_comes_back(records):
     assert lost.any() and not lost[-1000:].any()
     # While it is lost the controller holds, and says nothing of the object's pose.
     assert np.isnan(record.auxiliary_position[lost & np.roll(lost, 1)]).all()
+    assert np.isfinite(record.auxiliary_position[-1]).all() and np.isfinite(record.command).all()
     assert slip(record) < 0.01
     assert final_errors(record)[0] < 0.01
 

@@ -108,23 +108,6 @@ def test_other_hands_hold_and_turn_other_objects(tmp_path, joints):
     )
 
 
-def test_the_hand_holds_when_a_contact_is_lost_and_drives_when_it_is_back():
-    """A push pulls the object off finger 3; a hold keeps the other contacts until it returns."""
-    pull = {"kind": "pulse", "start": 0.1, "duration": 0.02, "force": [0.0, -12.0, 0.0]}
-    loop = ClosedLoop(
-        load_scenario(
-            "paper", {"targets": [], "plant.disturbances": [pull], "plant.object.mass": 0.1}
-        )
-    )
-    record = loop.run(1000)
-    touching = np.isfinite(record.true_positions[:, :, 0])
-    lost = ~touching.all(axis=1)
-    assert 0 < lost.sum() < 900 and touching[-1].all()
-    assert np.isnan(record.auxiliary_position[lost]).all()
-    assert np.isfinite(record.command).all() and np.abs(record.command).max() < 20.0
-    assert np.isfinite(record.auxiliary_position[-1]).all()
-
-
 @pytest.mark.parametrize(("ticks", "every"), [(199, 1), (300, 3)])
 def test_progress_of_a_long_run_is_told_about_a_hundred_times(ticks, every):
     told = []
