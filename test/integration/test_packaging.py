@@ -15,18 +15,10 @@ from tactile_hand_ros.ros import processes as executables
 
 ROOT = Path(__file__).resolve().parents[2]
 PACKAGE = "tactile_hand_ros"
-EXECUTABLES = [
-    "composed",
-    "controllers",
-    "force_optimizer",
-    "manipulation_controller",
-    "orchestrator",
-    "plant",
-    "recorder",
-    "slip_regulator",
-    "tactile_sensor",
-    "viewer",
-]
+EXECUTABLES = """
+composed controllers force_optimizer manipulation_controller orchestrator plant
+recorder slip_regulator tactile_sensor viewer
+""".split()
 # What an installation is made of, and nothing that a developer may have lying about.
 SOURCES = ("config", "launch", "resource", "scripts", PACKAGE)
 FILES = ("package.xml", "setup.py", "setup.cfg", "pyproject.toml", "LICENSE", "NOTICE", "README.md")
@@ -80,18 +72,12 @@ def source_config() -> list[Path]:
 class TestPip:
     """The environment that runs these tests, as `make test` has built it."""
 
-    def test_ament_finds_the_package(self) -> None:
+    def test_ament_finds_the_package_with_its_config_and_launch_file(self) -> None:
         prefix = Path(get_package_prefix(PACKAGE))
         share = Path(get_package_share_directory(PACKAGE))
         assert share == prefix / "share" / PACKAGE
         assert (share / "package.xml").read_bytes() == (ROOT / "package.xml").read_bytes()
-
-    def test_config_is_installed_recursively(self) -> None:
-        share = Path(get_package_share_directory(PACKAGE))
         assert installed_config(share) == source_config()
-
-    def test_a_launch_file_is_installed(self) -> None:
-        share = Path(get_package_share_directory(PACKAGE))
         assert (share / "launch" / "tactile_hand.launch.py").is_file()
 
     def test_executables_are_those_of_the_contract(self) -> None:
@@ -145,16 +131,14 @@ def workspace(tmp_path_factory: pytest.TempPathFactory) -> Path:
 class TestColcon:
     """The same tree in a ROS workspace."""
 
-    def test_is_an_ament_python_package(self, workspace: Path) -> None:
+    def test_it_is_a_ros_package_with_executables_config_and_manifest(
+        self, workspace: Path
+    ) -> None:
         listed = run("colcon", "list", cwd=workspace).split()
         assert listed == [PACKAGE, f"src/{PACKAGE}", "(ros.ament_python)"]
-
-    def test_executables_are_where_ros2_run_looks(self, workspace: Path) -> None:
         folder = workspace / "install" / PACKAGE / "lib" / PACKAGE
         runnable = sorted(path.name for path in folder.iterdir() if os.access(path, os.X_OK))
         assert runnable == sorted([*EXECUTABLES, "tactile-hand"])
-
-    def test_share_holds_config_and_manifest(self, workspace: Path) -> None:
         share = workspace / "install" / PACKAGE / "share" / PACKAGE
         assert (share / "package.xml").is_file()
         assert installed_config(share) == source_config()
