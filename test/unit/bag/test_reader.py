@@ -33,9 +33,6 @@ def test_topics_can_be_chosen(bag: Path) -> None:
     assert list(read_messages(bag, [])) == []
     assert list(read_messages(bag, ["/absent"])) == []
     assert len(list(read_messages(bag))) == 20
-
-
-def test_messages_are_decoded(bag: Path) -> None:
     assert next(read_messages(bag, {"/even"})).message.data == struct.unpack("<d", FLOAT[4:])[0]
 
 

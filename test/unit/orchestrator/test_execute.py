@@ -61,13 +61,6 @@ def test_what_is_refused_starts_nothing(
     assert not (tmp_path / "runs").exists()
 
 
-def test_a_second_run_in_the_same_place_is_refused(tmp_path: Path) -> None:
-    with isolated_domain() as domain, single_run_lock(domain, "/left"):
-        with pytest.raises(RunInProgressError, match=f"in ROS domain {domain} and namespace"):
-            execute(RunOptions(namespace="left", out=tmp_path / "runs"), Signals())
-    assert not (tmp_path / "runs").exists()
-
-
 @pytest.fixture
 def interrupted() -> Iterator[Signals]:
     """Return signals after a first signal."""

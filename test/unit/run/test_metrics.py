@@ -71,7 +71,7 @@ def test_final_errors() -> None:
     assert m.goal_reached is None
 
 
-@pytest.mark.parametrize(("slid", "reached"), [(0.009, True), (0.011, False), (np.nan, True)])
+@pytest.mark.parametrize(("slid", "reached"), [(0.01, True), (0.0101, False), (np.nan, True)])
 def test_goal_of_not_slipping(slid: float, reached: bool) -> None:
     """Unknown slip does not count against the run."""
     record = still_record()
@@ -269,9 +269,6 @@ def test_errors_may_be_as_large_as_the_goal() -> None:
     record.auxiliary_position[-1, 0] = 0.25
     assert metrics(record, scenario(position=0.25)).goal_reached is True
     assert metrics(record, scenario(position=0.2499)).goal_reached is False
-    record = still_record()
-    record.true_slid[:] = 0.25
-    assert metrics(record, Scenario(goal={"slip_distance": 0.25})).goal_reached is True
 
 
 def test_peaks_of_friction_count_from_20_ms_on() -> None:

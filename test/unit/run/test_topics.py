@@ -20,19 +20,19 @@ def test_one_of_several_hands_is_chosen(namespace: str, prefix: str) -> None:
     assert find_prefix(given, namespace, "bag") == prefix
 
 
-def test_several_hands_need_a_choice() -> None:
-    with pytest.raises(BagError, match=r"several hands; choose a namespace: left, right\."):
-        find_prefix(["/right/joint_states", "/left/joint_states"], None, "bag")
-
-
-def test_unknown_namespace() -> None:
-    with pytest.raises(BagError, match=r"no hand in the namespace 'up', only: left\."):
-        find_prefix(["/left/joint_states"], "up", "bag")
-
-
-def test_no_hand() -> None:
-    with pytest.raises(BagError, match="no topic joint_states"):
-        find_prefix(["/joint_states_raw", "/other_joint_states", "/clock"], None, "bag")
+@pytest.mark.parametrize(
+    ("topics", "namespace", "reason"),
+    [
+        ("/right/joint_states /left/joint_states", None, r"choose a namespace: left, right\."),
+        ("/left/joint_states", "up", r"no hand in the namespace 'up', only: left\."),
+        ("/joint_states_raw /other_joint_states /clock", None, "no topic joint_states"),
+    ],
+)
+def test_a_hand_that_is_not_clear_is_refused(
+    topics: str, namespace: str | None, reason: str
+) -> None:
+    with pytest.raises(BagError, match=reason):
+        find_prefix(topics.split(), namespace, "bag")
 
 
 def test_fingers_in_natural_order_and_of_this_hand_only() -> None:

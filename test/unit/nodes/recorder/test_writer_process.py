@@ -49,11 +49,6 @@ def test_the_bag_is_the_same_to_the_byte(tmp_path: Path) -> None:
     assert not other.is_open and not psutil.pid_exists(other.process_id)
 
 
-def test_a_folder_that_exists_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(BagError, match="exists already"):
-        WriterProcess(tmp_path).check()
-
-
 def test_what_finds_no_room_is_counted_as_lost(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
