@@ -9,7 +9,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from ament_index_python.packages import get_package_prefix
 from support.hands import write_hand
 from support.recorded import random_record, write_record
 
@@ -19,7 +18,7 @@ from tactile_hand_ros.command_line import run_command
 from tactile_hand_ros.config.paths import scenario_names
 from tactile_hand_ros.hand.hand import Hand
 from tactile_hand_ros.report.hand import example_posture
-from tactile_hand_ros.ros.processes import executable_path, wait_until
+from tactile_hand_ros.ros.processes import wait_until
 from tactile_hand_ros.scenario.scenario import load_scenario, resolved
 
 COMMAND = [sys.executable, "-m", "tactile_hand_ros.cli"]
@@ -52,20 +51,6 @@ def test_help_loads_nothing_heavy(words: list[str]) -> None:
     loaded = set(done.stderr.split())
     assert "typer" in loaded
     assert not loaded & {"numpy", "matplotlib", "pinocchio", "rclpy", "joblib", "rosbags"}
-
-
-def test_own_prefix_is_found_without_a_setup_file(tmp_path: Path) -> None:
-    code = (
-        "from tactile_hand_ros.config.paths import use_own_prefix as u; u(); u();"
-        "from tactile_hand_ros.ros.processes import executable_path as e; print(e('plant'));"
-        "from ament_index_python import get_package_prefix as p; print(p('sensor_msgs'))"
-    )
-    unset = {key: text for key, text in os.environ.items() if key != "AMENT_PREFIX_PATH"}
-    done = subprocess.run(
-        [sys.executable, "-c", code], cwd=tmp_path, env=unset, capture_output=True, text=True
-    )
-    found = done.stdout
-    assert found.splitlines() == [str(executable_path("plant")), get_package_prefix("sensor_msgs")]
 
 
 def test_a_hand_is_printed_with_its_couplings_and_strength_and_drawn(

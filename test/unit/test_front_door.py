@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import tactile_hand_ros
-from tactile_hand_ros import Metrics, Run, simulate, sweep
+from tactile_hand_ros import Metrics, Run, simulate
 from tactile_hand_ros.control.laws import OptimalLaw
 from tactile_hand_ros.errors import ConfigurationError
 from tactile_hand_ros.report.page import Result
@@ -64,10 +64,3 @@ def test_a_law_is_given_as_a_class_or_by_name() -> None:
     assert named is not None and named.manipulation_controller.law.name == "contact"
     with pytest.raises(ConfigurationError, match="it has no internal_torque"):
         simulate("paper", SHORT, law=int)
-
-
-def test_a_sweep_returns_its_table(tmp_path: Path) -> None:
-    over = ["plant.object.mass=0.01..0.02"]
-    results = sweep.run("paper", over, SHORT, folder=tmp_path / "masses", runs=2, jobs=1)
-    masses = results.column("plant.object.mass")
-    assert len(masses) == 2 and 0.01 <= masses.min() < masses.max() <= 0.02

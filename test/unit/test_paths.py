@@ -4,14 +4,13 @@
 import inspect
 import re
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 from types import FrameType
 from typing import Any
 
 import numpy as np
 import pytest
-from support.nodes import Process, facts, process
+from support.nodes import Process, facts
 
 import tactile_hand_ros
 from tactile_hand_ros import names
@@ -27,12 +26,6 @@ ANSWERS = (names.JOINT_COMMAND, names.GRASP_FORCE)
 TICK = 2_000_000
 STEADY = 5
 """Ticks after which no code path is new."""
-
-
-@pytest.fixture
-def here() -> Iterator[Process]:
-    with process() as made:
-        yield made
 
 
 def messages_of(node: Any, stamp: int) -> dict[str, bytes]:
