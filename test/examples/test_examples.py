@@ -66,12 +66,12 @@ def check(name: str, done: Done) -> None:
 
 
 @pytest.mark.parametrize("name", [name for name in PRINTED if name != DRIVES])
-def test_an_example_runs_and_prints_its_result(started: dict[str, Future[Done]], name: str) -> None:
+def test_an_example_runs_and_prints_its_result(started, name):
     check(name, started[name].result())
 
 
 @pytest.mark.usefixtures("domain")
-def test_the_example_that_drives_a_running_hand_prints_where_it_is(tmp_path: Path) -> None:
+def test_the_example_that_drives_a_running_hand_prints_where_it_is(tmp_path):
     words = ("paper", "--interactive", "--out", str(tmp_path / "runs"), "--set", "targets=[]")
     with start_executable("orchestrator", *words) as hand:
         hand.wait_for_output("t = ", PATIENCE)

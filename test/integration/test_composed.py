@@ -4,7 +4,6 @@
 from typing import Any
 
 import numpy as np
-import pytest
 from geometry_msgs.msg import PoseArray, WrenchStamped
 from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool, Trigger
@@ -49,7 +48,7 @@ def _mode(plant: Any) -> str:
     return next(p.value for p in plant.diagnostics.status().values if p.key == "mode")
 
 
-def test_the_bytes_are_those_of_the_closed_loop(tmp_path: Any) -> None:
+def test_the_bytes_are_those_of_the_closed_loop(tmp_path):
     """Also after the ticks have started over."""
     scenario = short(**{"tactile_sensor.force_noise": 0.05})
     expected = encoded(ClosedLoop(scenario).run(TICKS))
@@ -67,9 +66,7 @@ def test_the_bytes_are_those_of_the_closed_loop(tmp_path: Any) -> None:
                 run_to_the_end(here, nodes["plant"])
 
 
-def test_nothing_is_encoded_when_nobody_wants_it(
-    tmp_path: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_nothing_is_encoded_when_nobody_wants_it(tmp_path, monkeypatch):
     with process() as here:
         nodes = start(here, short(), tmp_path)
         encoded: list[int] = []
@@ -80,9 +77,7 @@ def test_nothing_is_encoded_when_nobody_wants_it(
         assert int(facts(nodes["manipulation_controller"])["ticks"]) >= TICKS
 
 
-def test_a_node_that_fails_leaves_its_tick_without_a_command(
-    tmp_path: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_node_that_fails_leaves_its_tick_without_a_command(tmp_path, monkeypatch):
     """In real time, at a rate that a busy machine keeps, the guard holds the joints meanwhile."""
     scenario = short("paper", **{"plant.pacing": "realtime", "plant.rate": 10.0, "duration": 60.0})
     with process() as here:
@@ -98,7 +93,7 @@ def test_a_node_that_fails_leaves_its_tick_without_a_command(
         here.wait(lambda: _mode(plant) == "running", "the end of the hold")
 
 
-def test_the_controllers_of_a_real_hand_answer_joints_and_touch(tmp_path: Any) -> None:
+def test_the_controllers_of_a_real_hand_answer_joints_and_touch(tmp_path):
     """Fed with what the drivers of a hand publish, they answer as in the closed loop."""
     scenario = short("paper")
     expected = ClosedLoop(scenario).run(20)

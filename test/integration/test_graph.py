@@ -110,7 +110,7 @@ def assert_same(recorded: Record, expected: Record) -> None:
         np.testing.assert_array_equal(ours, theirs, err_msg=name)
 
 
-def test_a_plant_waits_for_its_start_and_a_finished_one_can_only_begin_anew(graph: Graph) -> None:
+def test_a_plant_waits_for_its_start_and_a_finished_one_can_only_begin_anew(graph):
     assert graph.says("plant", "mode", "paused") and graph.says("plant", "ticks", "0")
     graph.run()
     graph.finish()
@@ -121,15 +121,13 @@ def test_a_plant_waits_for_its_start_and_a_finished_one_can_only_begin_anew(grap
     graph.finish()
 
 
-def test_no_node_shares_memory_that_a_killed_one_could_leave_locked(graph: Graph) -> None:
+def test_no_node_shares_memory_that_a_killed_one_could_leave_locked(graph):
     for process in graph.processes.values():
         assert "/dev/shm/fastrtps" not in Path(f"/proc/{process.pid}/maps").read_text()
 
 
 @pytest.mark.parametrize(("name", "noise"), [("quiet", {}), ("noisy", NOISE)])
-def test_the_graph_gives_the_numbers_of_the_in_process_loop(
-    bags: dict[str, Path], name: str, noise: dict[str, float]
-) -> None:
+def test_the_graph_gives_the_numbers_of_the_in_process_loop(bags, name, noise):
     expected = ClosedLoop(noisy(noise)).run()
     assert_same(Run(bags[name]).record, expected)
     found, held = payloads(bags[name]), encoded(expected)
@@ -138,7 +136,7 @@ def test_the_graph_gives_the_numbers_of_the_in_process_loop(
     assert found.keys() - held.keys() == {f"/{topic}" for topic in estimates}  # not in a record
 
 
-def test_what_slips_is_held_as_in_process(tmp_path: Path) -> None:
+def test_what_slips_is_held_as_in_process(tmp_path):
     """Weight, a noisy skin, a sudden pull: slip, friction, k_f and reshaped f* are the same."""
     pull = {"kind": "step", "start": 0.3, "force": [0.0, 0.0, -14.0]}  # more than the reserve
     slippery = {"plant.disturbances": [pull], "plant.object.friction": 0.25}
@@ -152,7 +150,7 @@ def test_what_slips_is_held_as_in_process(tmp_path: Path) -> None:
     assert expected.grasp_force[-1] > 3.0 * expected.grasp_force[0]
 
 
-def test_an_imu_and_a_skin_too_late_to_be_believed_cost_no_tick(tmp_path: Path) -> None:
+def test_an_imu_and_a_skin_too_late_to_be_believed_cost_no_tick(tmp_path):
     """For 20 ms nothing is felt although the motors press; time waits for the controller's hold."""
     turns = [{"time": 0.5, "rotation": [0.2, 0.0, 0.1]}]
     late = {"tactile_sensor.latency": 0.02, "plant.palm_motion": turns, "duration": 0.2}
@@ -162,7 +160,7 @@ def test_an_imu_and_a_skin_too_late_to_be_believed_cost_no_tick(tmp_path: Path) 
     assert_same(recorded, ClosedLoop(scenario).run())
 
 
-def test_what_users_change_while_the_hand_moves_is_recorded_with_its_tick(tmp_path: Path) -> None:
+def test_what_users_change_while_the_hand_moves_is_recorded_with_its_tick(tmp_path):
     """Gains, weights, grasp forces, poses and services, in real time: recomputed to the bit.
 
     Time passes without waiting for any node, and what comes too late is counted.
@@ -230,7 +228,7 @@ def viewer(graph: Graph) -> Iterator[Callable[[], dict[str, Any]]]:
         assert process.wait() == 0, process.stderr
 
 
-def test_two_hands_in_one_domain_do_not_disturb_each_other(tmp_path: Path) -> None:
+def test_two_hands_in_one_domain_do_not_disturb_each_other(tmp_path):
     """Another layout, target and rate; each ends where its own in-process loop ends.
 
     The left one is wrongly calibrated, with longer links, larger tips and turned skins, so that its

@@ -2,7 +2,6 @@
 """In real time, at the defaults: a hand whose controller dies while it moves keeps the object."""
 
 import signal
-from pathlib import Path
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
@@ -37,7 +36,7 @@ def holds(graph: Graph) -> bool:
     )
 
 
-def test_a_killed_controller_in_real_time_costs_no_object(tmp_path: Path) -> None:
+def test_a_killed_controller_in_real_time_costs_no_object(tmp_path):
     with isolated_domain() as domain, Graph(SCENARIO, domain, tmp_path) as graph:
         told: list[bool] = []
         known: list[str] = []

@@ -87,9 +87,7 @@ def joint_state(i: int) -> JointState:
     return JointState(name=["a"] * (i % 5), position=[float(i)] * (i % 7), effort=[0.5 * i])
 
 
-def test_everything_sent_before_the_end_is_in_the_bag(
-    start: Callable[..., CapturedProcess], node: Node, tmp_path: Path
-) -> None:
+def test_everything_sent_before_the_end_is_in_the_bag(start, node, tmp_path):
     joints = node.create_publisher(JointState, "left/joint_states", DEEP)
     wrench = node.create_publisher(WrenchStamped, "left/tactile/index/wrench", DEEP)
     clock = node.create_publisher(Clock, "/clock", DEEP)
@@ -119,9 +117,7 @@ def test_everything_sent_before_the_end_is_in_the_bag(
     assert [m.ros_msg.effort[0] for m in others] == expected
 
 
-def test_killed_at_any_moment_it_loses_the_last_moment_at_most(
-    start: Callable[..., CapturedProcess], node: Node, tmp_path: Path
-) -> None:
+def test_killed_at_any_moment_it_loses_the_last_moment_at_most(start, node, tmp_path):
     """What is recovered has no gap; the bound is 0.2 s, here with room for noise.
 
     The chunks never fill: what is on the disk is there because its time had come.

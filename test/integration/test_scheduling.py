@@ -67,7 +67,7 @@ def threads(pid: int) -> list[int]:
 
 
 @pytest.mark.parametrize("permitted", [True, False])
-def test_fifo_where_it_is_permitted_and_a_warning_where_not(reports, permitted: bool) -> None:
+def test_fifo_where_it_is_permitted_and_a_warning_where_not(reports, permitted):
     tried = subprocess.run([sys.executable, "-c", _TRY], capture_output=True)
     with start("--priority", str(PRIORITY), permitted=permitted) as process:
         status, facts = first(reports)

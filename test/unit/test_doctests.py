@@ -5,7 +5,6 @@ import doctest
 import importlib
 from pathlib import Path
 
-import pytest
 from support.recorded import write_record
 
 from tactile_hand_ros import simulate
@@ -13,7 +12,7 @@ from tactile_hand_ros import simulate
 MODULES = ("front_door", "sweep", "run.run", "run.metrics", "control.laws")
 
 
-def test_the_examples_give_their_results(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_examples_give_their_results(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     record = simulate("paper", {"duration": 0.1, "targets": []}).record
     write_record(Path("runs/latest/bag"), record)

@@ -3,7 +3,6 @@
 
 import subprocess
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,17 +15,17 @@ from tactile_hand_ros.report.page import Result
 
 
 @pytest.mark.parametrize("name", tactile_hand_ros.__all__)
-def test_a_public_name_can_be_loaded_and_is_documented(name: str) -> None:
+def test_a_public_name_can_be_loaded_and_is_documented(name):
     assert getattr(tactile_hand_ros, name).__doc__
     assert name in dir(tactile_hand_ros) and name in vars(tactile_hand_ros)
 
 
-def test_an_unknown_name_is_an_attribute_error() -> None:
+def test_an_unknown_name_is_an_attribute_error():
     with pytest.raises(AttributeError, match="has no attribute 'Foot'"):
         tactile_hand_ros.Foot
 
 
-def test_importing_the_package_loads_nothing_else(tmp_path: Path) -> None:
+def test_importing_the_package_loads_nothing_else(tmp_path):
     code = "import sys, tactile_hand_ros; print(*sys.modules)"
     done = subprocess.run(
         [sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=True
@@ -46,7 +45,7 @@ class Firmer(OptimalLaw):
         return 1.5 * super().internal_torque()
 
 
-def test_a_simulation_has_what_a_recorded_run_has(tmp_path: Path) -> None:
+def test_a_simulation_has_what_a_recorded_run_has(tmp_path):
     result = simulate("paper", SHORT)
     assert isinstance(result, Result) and issubclass(Run, Result)
     assert len(result.record) == 51 and isinstance(result.metrics, Metrics)
@@ -55,7 +54,7 @@ def test_a_simulation_has_what_a_recorded_run_has(tmp_path: Path) -> None:
     assert result.report(tmp_path) == tmp_path / "report.html"
 
 
-def test_a_law_is_given_as_a_class_or_by_name() -> None:
+def test_a_law_is_given_as_a_class_or_by_name():
     plain, own = simulate("paper", SHORT), simulate("paper", SHORT, law=Firmer)
     assert not np.array_equal(plain.record.command, own.record.command)
     assert own.scenario is not None

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from support.nodes import Process, facts
+from support.nodes import facts
 
 import tactile_hand_ros
 from tactile_hand_ros import names
@@ -99,9 +99,7 @@ def drawn(heading: str) -> set[str]:
     ("kind", "maximum", "heading"),
     [(ManipulationControllerNode, 14, "A tick, from"), (SlipRegulatorNode, 12, "A slip, from")],
 )
-def test_a_tick_passes_through_few_modules_and_all_are_drawn(
-    here: Process, kind: Any, maximum: int, heading: str
-) -> None:
+def test_a_tick_passes_through_few_modules_and_all_are_drawn(here, kind, maximum, heading):
     node = kind(context=here.context)
     found = modules_of_a_tick(node)
     node.destroy_node()

@@ -53,7 +53,7 @@ def signals() -> Iterator[Signals]:
         signal.signal(number, handler)
 
 
-def test_a_wait_without_a_signal_lasts_as_long_as_it_should(signals: Signals) -> None:
+def test_a_wait_without_a_signal_lasts_as_long_as_it_should(signals):
     for _ in range(2):
         start = time.monotonic()
         signals.wait(0.01)
@@ -62,7 +62,7 @@ def test_a_wait_without_a_signal_lasts_as_long_as_it_should(signals: Signals) ->
     assert (signals.number, signals.name) == (0, "")
 
 
-def test_a_wait_ends_with_the_signal_and_the_first_one_counts(signals: Signals) -> None:
+def test_a_wait_ends_with_the_signal_and_the_first_one_counts(signals):
     sender = threading.Timer(0.01, os.kill, (os.getpid(), signal.SIGTERM))
     sender.start()
     with pytest.raises(Interrupted, match="ended by SIGTERM"):
@@ -75,7 +75,7 @@ def test_a_wait_ends_with_the_signal_and_the_first_one_counts(signals: Signals) 
     assert (signals.number, signals.exit_code) == (signal.SIGTERM, 143)
 
 
-def test_a_hangup_that_is_ignored_stays_so(signals: Signals) -> None:
+def test_a_hangup_that_is_ignored_stays_so(signals):
     """As for nohup; an ignored SIGINT is handled all the same, because it ends a run."""
     signal.signal(signal.SIGHUP, signal.SIG_IGN)
     signal.signal(signal.SIGINT, signal.SIG_IGN)
@@ -86,7 +86,7 @@ def test_a_hangup_that_is_ignored_stays_so(signals: Signals) -> None:
         signals.check()
 
 
-def test_signals_at_any_moment_of_a_wait_do_not_lock_it() -> None:
+def test_signals_at_any_moment_of_a_wait_do_not_lock_it():
     """A handler may run between any two steps of the wait, so shared state must tolerate it."""
     result = subprocess.run(
         [sys.executable, "-c", FLOOD], capture_output=True, text=True, timeout=60.0

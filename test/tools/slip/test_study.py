@@ -3,7 +3,6 @@
 
 import math
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -50,7 +49,7 @@ def measured(record: Record) -> dict[str, float]:
     return study.measure(record, study.scenario_of(CASE))
 
 
-def test_cases_fill_their_ranges_and_repeat() -> None:
+def test_cases_fill_their_ranges_and_repeat():
     """Every tenth of a range holds a tenth of the cases; a seed gives the same cases again."""
     cases = study.sample_cases(60, 4)
     assert cases == study.sample_cases(60, 4)
@@ -62,9 +61,7 @@ def test_cases_fill_their_ranges_and_repeat() -> None:
     assert all(np.linalg.norm(case.pull) == pytest.approx(1.0) for case in cases)
 
 
-def test_where_nothing_slides_nothing_is_measured_and_no_answer_is_infinitely_late(
-    run: Record,
-) -> None:
+def test_where_nothing_slides_nothing_is_measured_and_no_answer_is_infinitely_late(run):
     outcome = measured(made_up(run))
     assert np.isnan([outcome[name] for name in ("onset", "detection", "reaction")]).all()
     assert outcome["slip"] == 0.0 and outcome["false_alarms"] == 0
@@ -74,7 +71,7 @@ def test_where_nothing_slides_nothing_is_measured_and_no_answer_is_infinitely_la
     assert measured(record)["detection"] == measured(record)["reaction"] == math.inf
 
 
-def test_delays_are_counted_from_the_onset_of_the_contact_that_slides(run: Record) -> None:
+def test_delays_are_counted_from_the_onset_of_the_contact_that_slides(run):
     """Contact 1 slides from 0.15 s on; its alarm comes 7 ms later, k_f rises after 9 ms."""
     record = made_up(run)
     record.true_sliding[150:180, 1] = 0.01
@@ -89,7 +86,7 @@ def test_delays_are_counted_from_the_onset_of_the_contact_that_slides(run: Recor
     assert outcome["slip"] == pytest.approx(3e-4)
 
 
-def test_a_contact_that_is_gone_or_has_slid_far_is_lost(run: Record) -> None:
+def test_a_contact_that_is_gone_or_has_slid_far_is_lost(run):
     gone, far = made_up(run), made_up(run)
     far.true_slid[-1, 0] = 2.0 * study.LOST_SLIDE
     positions = gone.true_positions.copy()
@@ -98,7 +95,7 @@ def test_a_contact_that_is_gone_or_has_slid_far_is_lost(run: Record) -> None:
     assert measured(far)["lost"]
 
 
-def test_an_alarm_is_false_only_where_nothing_slides(run: Record) -> None:
+def test_an_alarm_is_false_only_where_nothing_slides(run):
     """Three alarms: one without reason, one while it slides and one just after."""
     record = made_up(run)
     record.true_sliding[150:180, 1] = 0.01
@@ -107,7 +104,7 @@ def test_an_alarm_is_false_only_where_nothing_slides(run: Record) -> None:
     assert study.false_alarms(record) == 1
 
 
-def test_a_slip_is_found_answered_and_stopped(run: Record) -> None:
+def test_a_slip_is_found_answered_and_stopped(run):
     """Friction falls to 0.11, more than the reserve was for: the object stays in the hand."""
     outcome = measured(run)
     assert outcome["survivable"] and not outcome["lost"] and outcome["false_alarms"] == 0
@@ -117,7 +114,7 @@ def test_a_slip_is_found_answered_and_stopped(run: Record) -> None:
     assert 0.0 < outcome["reaction"] < 0.020
 
 
-def test_the_minimum_grasp_force_of_a_run_follows_load_and_friction(run: Record) -> None:
+def test_the_minimum_grasp_force_of_a_run_follows_load_and_friction(run):
     """With friction down to 1 / 3.5, the minimum sum of normal forces is 3.5 times what it was."""
     scenario = study.scenario_of(CASE)
     before, after = (minimum_at(run, scenario, t, 100) for t in (0.05, 0.2))
@@ -125,9 +122,7 @@ def test_the_minimum_grasp_force_of_a_run_follows_load_and_friction(run: Record)
     assert after > 3.0 * before
 
 
-def test_a_small_study_gives_its_tables_and_figure(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_small_study_gives_its_tables_and_figure(tmp_path, monkeypatch):
     monkeypatch.setattr(study, "HELD", {"known": 0.3, "unknown": 0.3})
     with workers(1):
         tally = keep(study.study_of(2, 0), tmp_path)

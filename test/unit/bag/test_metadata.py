@@ -61,7 +61,7 @@ INFORMATION = yaml.safe_load(AT_CLOSE)["rosbag2_bagfile_information"]
 [OFFERED] = INFORMATION["topics_with_message_count"][0]["topic_metadata"]["offered_qos_profiles"]
 
 
-def test_file_of_a_finished_bag() -> None:
+def test_file_of_a_finished_bag():
     wrench = TopicMetadata(
         "/left/wrench", "geometry_msgs/msg/WrenchStamped", (OFFERED,), "RIHS01_00ff", 5
     )
@@ -76,12 +76,12 @@ def test_file_of_a_finished_bag() -> None:
 
 @given(st.dictionaries(st.text(), st.text() | st.lists(st.integers() | st.booleans(), max_size=3)))
 @example({"scenario": "a\nb: c\n", "0": "0", "z": "true", "~": "~", "x": '"\\', "y": "é\x85"})
-def test_what_is_written_reads_back(tree: dict[str, object]) -> None:
+def test_what_is_written_reads_back(tree):
     """Text is never parsed as a number, a boolean or a structure."""
     assert yaml.safe_load(dump(tree)) == tree
 
 
-def test_a_profile_of_the_graph_keeps_all_its_policies() -> None:
+def test_a_profile_of_the_graph_keeps_all_its_policies():
     profile = QoSProfile(
         history=HistoryPolicy.KEEP_LAST,
         depth=7,

@@ -20,11 +20,11 @@ from tactile_hand_ros.nodes.recorder.config import RecorderConfig
         ("/prefix/left/joint_states", False),
     ],
 )
-def test_patterns_match_the_whole_name(topic: str, chosen: bool) -> None:
+def test_patterns_match_the_whole_name(topic, chosen):
     assert (topic in TopicSelection(["/left/.*"], [".*/debug"])) is chosen
 
 
-def test_everything_is_the_default() -> None:
+def test_everything_is_the_default():
     config = RecorderConfig(output="bag")
     selection = TopicSelection(config.topics, config.exclude)
     names = ["/clock", "/rosout", "/diagnostics", "/hand/tactile/contacts", "/parameter_events"]
@@ -32,6 +32,6 @@ def test_everything_is_the_default() -> None:
 
 
 @pytest.mark.parametrize("key", ["topics", "exclude"])
-def test_broken_pattern_is_refused_with_its_place(key: str) -> None:
+def test_broken_pattern_is_refused_with_its_place(key):
     with pytest.raises(ConfigurationError, match=rf"{key}.*'\(' is not a valid regular expression"):
         from_flat(RecorderConfig, {"output": "bag", key: ["("]})

@@ -7,7 +7,6 @@ import signal
 import subprocess
 import sys
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -44,7 +43,7 @@ def add_string(writer: BagWriter, topic: str = "/chatter") -> int:
 
 
 @pytest.mark.parametrize("compression", ["none", "lz4", "zstd"])
-def test_rosbags_reads_back_what_was_written(tmp_path: Path, compression: str) -> None:
+def test_rosbags_reads_back_what_was_written(tmp_path, compression):
     sent = [payload(f"message {i}") for i in range(3000)]
     with BagWriter(tmp_path / "run", compression=compression, chunk_size=4096) as writer:
         channel, other = add_string(writer), add_string(writer, "/left/other")
@@ -61,7 +60,7 @@ def test_rosbags_reads_back_what_was_written(tmp_path: Path, compression: str) -
     assert got == [(10_000 + i, data) for i, data in enumerate(sent)]
 
 
-def test_mcap_holds_what_rosbag2_puts_there(tmp_path: Path) -> None:
+def test_mcap_holds_what_rosbag2_puts_there(tmp_path):
     with BagWriter(tmp_path / "run", compression="zstd") as writer:
         writer.write(add_string(writer), payload("x"), 2_000, 1_000)
     with writer.path.open("rb") as stream:
@@ -90,7 +89,7 @@ def message_count(record: Metadata) -> Any:
     return yaml.safe_load(record.metadata["serialized_metadata"])["message_count"]
 
 
-def test_bag_without_messages_is_valid(tmp_path: Path) -> None:
+def test_bag_without_messages_is_valid(tmp_path):
     with BagWriter(tmp_path / "silent") as writer:
         add_string(writer)
     BagWriter(tmp_path / "new" / "empty").close()
@@ -103,7 +102,7 @@ def test_bag_without_messages_is_valid(tmp_path: Path) -> None:
     assert summarize(tmp_path / "new" / "empty").counts == {}
 
 
-def test_refusals(tmp_path: Path) -> None:
+def test_refusals(tmp_path):
     (tmp_path / "folder").mkdir()
     (tmp_path / "file").write_text("precious")
     for name in ("folder", "file"):
@@ -126,9 +125,7 @@ def small_disk() -> Iterator[int]:
     signal.signal(signal.SIGXFSZ, handler)
 
 
-def test_full_disk_is_a_clear_error_and_what_was_written_can_be_recovered(
-    tmp_path: Path, small_disk: int
-) -> None:
+def test_full_disk_is_a_clear_error_and_what_was_written_can_be_recovered(tmp_path, small_disk):
     writer = BagWriter(tmp_path / "run", chunk_size=10_000)
     channel = add_string(writer)
     with pytest.raises(BagError, match="could not be written.*tactile-hand recover"):
@@ -141,7 +138,7 @@ def test_full_disk_is_a_clear_error_and_what_was_written_can_be_recovered(
     assert writer.message_count - 200 < messages <= writer.message_count
 
 
-def test_flushed_messages_survive_a_killed_process(tmp_path: Path) -> None:
+def test_flushed_messages_survive_a_killed_process(tmp_path):
     code = (
         "import os, signal, sys; from tactile_hand_ros.bag.writer import BagWriter\n"
         "w = BagWriter(sys.argv[1], compression='lz4')\n"
@@ -166,11 +163,7 @@ _TIMES = st.integers(0, 2**62)
     messages=st.lists(st.tuples(st.booleans(), st.binary(max_size=300), _TIMES, _TIMES)),
     compression=st.sampled_from(["none", "lz4", "zstd"]),
 )
-def test_any_bytes_and_times_come_back(
-    tmp_path_factory: pytest.TempPathFactory,
-    messages: list[tuple[bool, bytes, int, int]],
-    compression: str,
-) -> None:
+def test_any_bytes_and_times_come_back(tmp_path_factory, messages, compression):
     folder = tmp_path_factory.mktemp("bags") / "run"
     with BagWriter(folder, compression=compression, chunk_size=256) as writer:
         channels = [add_string(writer, "/a"), add_string(writer, "/b")]
@@ -186,7 +179,7 @@ def test_any_bytes_and_times_come_back(
     assert [time for _, time, _ in got] == sorted(time for _, time, _ in got)
 
 
-def test_what_a_bag_says_before_it_is_closed(tmp_path: Path) -> None:
+def test_what_a_bag_says_before_it_is_closed(tmp_path):
     writer = BagWriter(tmp_path / "run")
     first, second = add_string(writer, "/b"), add_string(writer, "/a")
     assert (first, second) == (1, 2)
@@ -208,7 +201,7 @@ def test_what_a_bag_says_before_it_is_closed(tmp_path: Path) -> None:
             call()
 
 
-def test_channels_of_one_type_share_its_schema(tmp_path: Path) -> None:
+def test_channels_of_one_type_share_its_schema(tmp_path):
     with BagWriter(tmp_path / "run") as writer:
         for name, kind in (("/a", STRING), ("/b", "std_msgs/msg/Empty"), ("/c", STRING)):
             writer.add_channel(name, kind)
@@ -219,7 +212,7 @@ def test_channels_of_one_type_share_its_schema(tmp_path: Path) -> None:
     assert [each.schema_id for each in summary.channels.values()] == [1, 2, 1]
 
 
-def test_a_chunk_of_the_default_size_is_written_as_soon_as_it_is_full(tmp_path: Path) -> None:
+def test_a_chunk_of_the_default_size_is_written_as_soon_as_it_is_full(tmp_path):
     """A killed recorder loses no more than this; messages and their headers count."""
     writer = BagWriter(tmp_path / "run")
     channel, before, count = add_string(writer), 0, 0

@@ -90,7 +90,7 @@ def touch():
     return tips, tips.positions + random.normal(0.0, 0.01, (3, 3))
 
 
-def test_hand_jacobian_is_equation_2_turned_into_frames(touch) -> None:
+def test_hand_jacobian_is_equation_2_turned_into_frames(touch):
     tips, points = touch
     turned = frames([[0.0, 0.6, 0.8], [-1.0, 0.0, 0.0], [0.48, 0.6, -0.64]])
     found = hand_jacobian(tips, points, turned)
@@ -99,7 +99,7 @@ def test_hand_jacobian_is_equation_2_turned_into_frames(touch) -> None:
     np.testing.assert_allclose(found, expected, atol=1e-15)
 
 
-def test_joint_torques_are_the_transposed_hand_jacobian_times_the_forces(touch) -> None:
+def test_joint_torques_are_the_transposed_hand_jacobian_times_the_forces(touch):
     """They must equal equation (2) written out, and do the same work as the contacts."""
     tips, points = touch
     random = np.random.default_rng(6)
@@ -110,7 +110,7 @@ def test_joint_torques_are_the_transposed_hand_jacobian_times_the_forces(touch) 
     assert torques @ rates == pytest.approx((jacobian @ rates) @ forces.ravel())
 
 
-def test_forces_are_turned_into_palm_axes() -> None:
+def test_forces_are_turned_into_palm_axes():
     frames = np.array([contact_frame(n) for n in np.eye(3)])
     forces = np.random.default_rng(6).normal(size=(3, 3))
     expected = [2.0 * frame @ force for frame, force in zip(frames, forces, strict=True)]

@@ -4,7 +4,6 @@
 from typing import Any
 
 import pytest
-from support.nodes import Process
 
 from tactile_hand_ros import names
 from tactile_hand_ros.config.model import Config, flatten, leaves
@@ -70,9 +69,7 @@ def parameters(config: Config) -> dict[str, Any]:
         ),
     ],
 )
-def test_a_node_subscribes_to_what_it_is_configured_to_use(
-    scenario: str, changes: dict[str, Any], more: dict[str, set[str]], here: Process
-) -> None:
+def test_a_node_subscribes_to_what_it_is_configured_to_use(scenario, changes, more, here):
     wanted = load_scenario(scenario, changes)
     configs: dict[str, Config] = {
         names.PLANT: wanted.plant.changed({"autostart": False}),
@@ -98,7 +95,7 @@ def _is_tick(publisher: Any) -> bool:
     return bool(publisher.qos_profile == tick_publisher_qos())
 
 
-def test_composed_nodes_receive_only_what_users_send(here: Process) -> None:
+def test_composed_nodes_receive_only_what_users_send(here):
     received = {
         each.topic_name[1:]
         for kind in MEMBERS

@@ -62,7 +62,7 @@ def hand() -> Iterator[Hand]:
         node.destroy_node()
 
 
-def test_what_the_nodes_say_is_kept_by_node_until_they_say_something_else(hand: Hand) -> None:
+def test_what_the_nodes_say_is_kept_by_node_until_they_say_something_else(hand):
     monitor = hand.monitor()
     assert monitor.facts() == {} and monitor.faults() == [] and monitor.tick == -1
     assert monitor.answered() == -1 and not monitor.is_at_rest
@@ -92,15 +92,13 @@ def test_what_the_nodes_say_is_kept_by_node_until_they_say_something_else(hand: 
         ("paused", 3, False),
     ],
 )
-def test_the_plant_rests_when_it_stands_still_and_its_tick_is_answered(
-    hand: Hand, mode: str, answered: int, rests: bool
-) -> None:
+def test_the_plant_rests_when_it_stands_still_and_its_tick_is_answered(hand, mode, answered, rests):
     monitor = hand.monitor()
     hand.report(PLANT, mode=mode, tick_ns=4, answered_ns=answered)
     assert monitor.is_at_rest == rests
 
 
-def test_only_from_close_by_each_command_is_seen(hand: Hand) -> None:
+def test_only_from_close_by_each_command_is_seen(hand):
     hand.monitor()
     assert {each.topic_name for each in hand.node.subscriptions} == {"/diagnostics"}
     for each in list(hand.node.subscriptions):
@@ -124,9 +122,7 @@ def written(where: Console) -> str:
 
 
 @pytest.mark.parametrize(("duration", "of"), [(5.5, " of 5.5"), (None, "")])
-def test_a_pipe_gets_a_line_now_and_then_and_a_fault_in_full(
-    hand: Hand, duration: float | None, of: str
-) -> None:
+def test_a_pipe_gets_a_line_now_and_then_and_a_fault_in_full(hand, duration, of):
     monitor, where, fault = hand.monitor(), console(force_terminal=False), "[b] " + "why " * 100
     hand.report(PLANT, WARN, fault, answered_ns=1.25 * SECOND)
     monitor.tick = 1_250_000_000
@@ -139,9 +135,7 @@ def test_a_pipe_gets_a_line_now_and_then_and_a_fault_in_full(
     assert view.period == 2.0
 
 
-def test_a_bar_is_gone_at_the_end_and_a_fault_is_printed_in_full_above_it(
-    hand: Hand, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_bar_is_gone_at_the_end_and_a_fault_is_printed_in_full_above_it(hand, monkeypatch):
     monkeypatch.setenv("TERM", "xterm")
     monitor, reason = hand.monitor(), f"{'why ' * 30}end"
     hand.report(PLANT, WARN, reason)
@@ -157,7 +151,7 @@ def test_a_bar_is_gone_at_the_end_and_a_fault_is_printed_in_full_above_it(
     assert drawn.endswith("\x1b[2K")
 
 
-def test_quiet_means_quiet(hand: Hand) -> None:
+def test_quiet_means_quiet(hand):
     where = console(force_terminal=True)
     view = View(where, 1.0, quiet=True)
     with view.bar:

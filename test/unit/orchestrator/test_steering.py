@@ -54,7 +54,7 @@ def no_check() -> None:
     """Accept everything."""
 
 
-def test_targets_and_the_newest_force_that_is_due_arrive(make: Callable[[str], Node]) -> None:
+def test_targets_and_the_newest_force_that_is_due_arrive(make):
     hand, heard, forces = make("hand"), list[Any](), list[float]()
     hand.create_subscription(PoseStamped, "desired_pose", heard.append, qos.user_qos())
     hand.create_subscription(
@@ -80,9 +80,7 @@ def test_targets_and_the_newest_force_that_is_due_arrive(make: Callable[[str], N
 
 
 @pytest.mark.parametrize("accepts", [True, False])
-def test_the_plant_is_told_to_run_and_its_refusal_is_an_error(
-    make: Callable[[str], Node], accepts: bool
-) -> None:
+def test_the_plant_is_told_to_run_and_its_refusal_is_an_error(make, accepts):
     plant, asked = make("plant"), list[bool]()
 
     def answer(request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
@@ -103,7 +101,7 @@ def test_the_plant_is_told_to_run_and_its_refusal_is_an_error(
     assert asked == ([True, False] if accepts else [True])
 
 
-def test_a_plant_without_an_answer_is_not_awaited_for_ever(make: Callable[[str], Node]) -> None:
+def test_a_plant_without_an_answer_is_not_awaited_for_ever(make):
     class Trouble(Exception):
         pass
 
@@ -118,8 +116,6 @@ def test_a_plant_without_an_answer_is_not_awaited_for_ever(make: Callable[[str],
 
 
 @pytest.mark.parametrize(("namespace", "tail"), [("/", ""), ("/left", " --namespace /left")])
-def test_the_command_to_steer_names_the_hand_and_a_target_of_its_own(
-    namespace: str, tail: str
-) -> None:
+def test_the_command_to_steer_names_the_hand_and_a_target_of_its_own(namespace, tail):
     assert how_to_steer(namespace, TARGETS) == f"tactile-hand move 0.4 0.5 0.6{tail}"
     assert how_to_steer(namespace, []) == f"tactile-hand move X Y Z{tail}"

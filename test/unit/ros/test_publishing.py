@@ -36,7 +36,7 @@ class Encoder:
         return serialize_message(Float64(data=value))
 
 
-def test_nothing_is_encoded_when_nobody_wants_it(node: Node) -> None:
+def test_nothing_is_encoded_when_nobody_wants_it(node):
     encode = Encoder()
     publisher = TickPublisher(node, Float64, "number", encode)
     publisher.publish(1.0)
@@ -46,7 +46,7 @@ def test_nothing_is_encoded_when_nobody_wants_it(node: Node) -> None:
     assert facts == ("/left/number", Float64, qos.PUBLISHED_DEPTH)
 
 
-def test_a_message_is_encoded_once_for_all_taps_and_subscribers(node: Node) -> None:
+def test_a_message_is_encoded_once_for_all_taps_and_subscribers(node):
     encode, tapped, received = Encoder(), [], []
     publisher = TickPublisher(node, Float64, "number", encode)
     publisher.add_tap(tapped.append)
@@ -62,7 +62,7 @@ def test_a_message_is_encoded_once_for_all_taps_and_subscribers(node: Node) -> N
     assert encode.encoded == [1.0, 2.0] and len(tapped) == 4
 
 
-def test_a_message_that_nobody_wanted_is_repeated_for_who_came_later(node: Node) -> None:
+def test_a_message_that_nobody_wanted_is_repeated_for_who_came_later(node):
     publisher, received = TickPublisher(node, Float64, "number", Encoder()), list[Any]()
     publisher.repeat()
     publisher.publish(3.0)

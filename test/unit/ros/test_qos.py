@@ -15,7 +15,7 @@ PROFILES = {
 
 
 @pytest.mark.parametrize("kind", PROFILES)
-def test_profiles_promise_what_the_documentation_says_and_are_new_each_time(kind: str) -> None:
+def test_profiles_promise_what_the_documentation_says_and_are_new_each_time(kind):
     make, depth, durability = PROFILES[kind]
     profile: QoSProfile = make()
     assert profile.reliability == ReliabilityPolicy.RELIABLE

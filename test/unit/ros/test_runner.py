@@ -78,9 +78,7 @@ def send(*numbers: int) -> Callable[[], None]:
     ],
 )
 @pytest.mark.usefixtures("hangups_count")
-def test_the_exit_code_follows_from_what_stops_the_nodes(
-    action: Any, code: int, printed: str, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_the_exit_code_follows_from_what_stops_the_nodes(action, code, printed, capfd):
     assert runner.run_node(lambda: Example(action), ["program"]) == code
     captured = capfd.readouterr()
     assert captured.out == "close a\n"
@@ -89,9 +87,7 @@ def test_the_exit_code_follows_from_what_stops_the_nodes(
     assert not rclpy.ok()
 
 
-def test_a_closed_terminal_does_not_stop_nodes_that_ignore_it(
-    capfd: pytest.CaptureFixture[str],
-) -> None:
+def test_a_closed_terminal_does_not_stop_nodes_that_ignore_it(capfd):
     signal.signal(signal.SIGHUP, signal.SIG_IGN)
     actions = iter([send(signal.SIGHUP), rclpy.shutdown])
     done: list[int] = []
@@ -108,9 +104,7 @@ def test_a_closed_terminal_does_not_stop_nodes_that_ignore_it(
     ("closing", "code", "printed"),
     [(None, 0, ""), (LOOSE, 1, "the cable is loose"), (KeyError("x"), 1, "KeyError: 'x'")],
 )
-def test_nodes_are_closed_in_reverse_whatever_happens(
-    closing: Exception | None, code: int, printed: str, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_nodes_are_closed_in_reverse_whatever_happens(closing, code, printed, capfd):
     def both() -> Iterator[Node]:
         yield Example(rclpy.shutdown, "a")
         yield Example(rclpy.shutdown, "b", closing)
@@ -120,9 +114,7 @@ def test_nodes_are_closed_in_reverse_whatever_happens(
     assert captured.out == "close b\nclose a\n" and printed in captured.err
 
 
-def test_a_node_that_cannot_be_made_closes_those_before_it(
-    capfd: pytest.CaptureFixture[str],
-) -> None:
+def test_a_node_that_cannot_be_made_closes_those_before_it(capfd):
     def both() -> Iterator[Node]:
         yield Example(rclpy.shutdown)
         raise LOOSE
@@ -133,9 +125,7 @@ def test_a_node_that_cannot_be_made_closes_those_before_it(
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
-def test_a_signal_before_rclpy_handles_it_stops_the_process(
-    monkeypatch: pytest.MonkeyPatch, number: int
-) -> None:
+def test_a_signal_before_rclpy_handles_it_stops_the_process(monkeypatch, number):
     monkeypatch.setattr(runner, "use_sockets", lambda: signal.raise_signal(number))
     assert runner.run_node(lambda: pytest.fail("no node is made"), ["program"]) == 0
 
@@ -149,18 +139,14 @@ def test_a_signal_before_rclpy_handles_it_stops_the_process(
         (["--ros-args", "-r", "x"], 2, "the ROS arguments cannot be used: "),
     ],
 )
-def test_arguments_are_explained_or_rejected_in_a_sentence(
-    words: list[str], code: int, printed: str, capfd: pytest.CaptureFixture[str]
-) -> None:
-    assert runner.run_node(Example, ["program", *words]) == code  # type: ignore[arg-type]
+def test_arguments_are_explained_or_rejected_in_a_sentence(words, code, printed, capfd):
+    assert runner.run_node(Example, ["program", *words]) == code
     captured = capfd.readouterr()
     assert printed in (captured.err if code else captured.out)
     assert "src/" not in captured.err
 
 
-def test_a_wrong_parameter_ends_the_start_with_a_sentence(
-    capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_wrong_parameter_ends_the_start_with_a_sentence(capfd, monkeypatch):
     words = "unknown parameter 'minimum_norma', did you mean 'minimum_normal'"
     argv = ["program", "--ros-args", "-p", "minimum_norma:=1.0"]
     monkeypatch.setattr("sys.argv", argv)

@@ -52,10 +52,10 @@ def run(tmp_path: Path) -> Run:
     return Run(tmp_path)
 
 
-def test_the_inputs_are_those_of_the_last_run_in_a_bag(run: Run) -> None:
+def test_the_inputs_are_those_of_the_last_run_in_a_bag(run):
     inputs = read_inputs(run, SCENARIO)
     assert len(inputs.contacts) == len(inputs.measured) == 12 and None not in inputs.contacts
-    assert inputs.contacts[4].touching.tolist() == [True, False, True]  # type: ignore[union-attr]
+    assert inputs.contacts[4].touching.tolist() == [True, False, True]
     assert inputs.measured.tolist() == [row != 6 for row in range(12)]
     config, call, pose = inputs.changes["manipulation_controller"]
     assert (config.stamp, config.value.law.k_p) == (7, 2.0)
