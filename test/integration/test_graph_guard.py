@@ -16,12 +16,7 @@ from tactile_hand_ros.scenario.scenario import load_scenario
 
 SCENARIO = load_scenario(
     "paper",
-    {
-        "duration": 86400.0,
-        "plant.autostart": False,
-        "plant.rate": 200.0,
-        "plant.pacing": "realtime",
-    },
+    {"duration": 86400, "plant.autostart": False, "plant.rate": 200.0, "plant.pacing": "realtime"},
 )
 P_D = np.array(SCENARIO.targets[0].position)
 

@@ -72,6 +72,11 @@ class Bench:
         """Mean of the contact points, shape (3,), m."""
         return self.contacts.centroid
 
+    @property
+    def shift(self) -> Array:
+        """How far the present target is from the centroid, shape (3,), m."""
+        return self.controller.targets.target.position - self.centroid
+
     def target(self, *shift: float, turn: tuple[float, ...] = (0.0, 0.0, 0.0)) -> Target:
         """Return a pose away from the centroid, and rotated from the palm axes."""
         return Target(self.centroid + np.array(shift), rotation_from_vector(turn))

@@ -107,10 +107,7 @@ def test_what_is_no_law_is_refused(tmp_path, name, law, message):
 @pytest.mark.parametrize(
     ("body", "message"),
     [
-        (
-            "return 3.0",
-            r"returns 3.0 from internal_torque\(\); expected an array of 9 finite torques",
-        ),
+        ("return 3.0", r"returns 3.0 from internal_torque\(\); expected an array of 9 finite"),
         ("return super().internal_torque()[:2]", "array of 9 finite torques"),
         ("return super().internal_torque() * float('nan')", "array of 9 finite torques"),
         ("return self.lost", "fails at the first tick with AttributeError: .*lost"),

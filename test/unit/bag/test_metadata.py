@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """metadata.yaml follows version 9 of rosbag2."""
 
+from pathlib import Path
+
 import yaml
 from hypothesis import example, given
 from hypothesis import strategies as st
@@ -10,54 +12,8 @@ from rosbags.rosbag2.metadata import parse_qos
 
 from tactile_hand_ros.bag.metadata import BagMetadata, TopicMetadata, dump, offered_qos
 
-# Written by rosbag2, as shown by `mcap list metadata`.
-AT_CLOSE = """\
-rosbag2_bagfile_information:
-  version: 9
-  storage_identifier: mcap
-  duration:
-    nanoseconds: 25
-  starting_time:
-    nanoseconds_since_epoch: 1000
-  message_count: 5
-  topics_with_message_count:
-    - topic_metadata:
-        name: /left/wrench
-        type: geometry_msgs/msg/WrenchStamped
-        serialization_format: cdr
-        offered_qos_profiles:
-          - history: unknown
-            depth: 0
-            reliability: reliable
-            durability: volatile
-            deadline:
-              sec: 9223372036
-              nsec: 854775807
-            lifespan:
-              sec: 9223372036
-              nsec: 854775807
-            liveliness: automatic
-            liveliness_lease_duration:
-              sec: 9223372036
-              nsec: 854775807
-            avoid_ros_namespace_conventions: false
-        type_description_hash: RIHS01_00ff
-      message_count: 5
-  compression_format: ""
-  compression_mode: ""
-  relative_file_paths:
-    - run_0.mcap
-  files:
-    - path: run_0.mcap
-      duration:
-        nanoseconds: 25
-      starting_time:
-        nanoseconds_since_epoch: 1000
-      message_count: 5
-  custom_data:
-    scenario: "paper 1"
-  ros_distro: jazzy"""
-INFORMATION = yaml.safe_load(AT_CLOSE)["rosbag2_bagfile_information"]
+WRITTEN_BY_ROSBAG2 = Path(__file__).parents[2] / "data" / "rosbag2_metadata.yaml"
+INFORMATION = yaml.safe_load(WRITTEN_BY_ROSBAG2.read_text())["rosbag2_bagfile_information"]
 [OFFERED] = INFORMATION["topics_with_message_count"][0]["topic_metadata"]["offered_qos_profiles"]
 
 

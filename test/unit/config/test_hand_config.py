@@ -24,10 +24,7 @@ def hand(names: list[str], **more: Any) -> HandConfig:
     [
         (["thumb"] * 3, "^fingers.0. is 'thumb', but should be a valid dictionary"),
         (None, "^fingers is None, but should be a valid list.$"),
-        (
-            {"thumb": {"tip": "a"}},
-            "^fingers is {'thumb': {'tip': 'a'}}, but should be a valid list",
-        ),
+        ({"thumb": {"tip": "a"}}, "^fingers is {'thumb': {'tip': 'a'}}, but should be a"),
         ([{"name": f"f{i}", "tip": "t", "radius": 0.1} for i in range(33)], "at most 32 items"),
         ([{"name": f"f{i}", "tip": "t", "radius": 0.1} for i in range(2)], "at least 3 items"),
     ],

@@ -314,10 +314,8 @@ def test_with_encoders_only_what_moves_the_object_is_damped_as_k_f_needs_it(tmp_
 def test_a_hand_of_human_size_needs_no_gain_also_with_commands_that_are_late(late):
     changes = {"plant.rate": 1000.0 / (2 - late), "tactile_sensor.rate": 1000.0 / (2 - late)}
     loop = ClosedLoop(load_scenario("human_hold", {**changes, "duration": 1.0}))
-    record, waiting = (
-        Record.empty(400, loop.plant.hand.finger_names, loop.plant.hand.joint_names),
-        [],
-    )
+    hand, waiting = loop.plant.hand, []
+    record = Record.empty(400, hand.finger_names, hand.joint_names)
     for row in range(400):
         waiting.append(loop.answer(record, row).torque)
         loop.advance(waiting[max(0, row - late)])

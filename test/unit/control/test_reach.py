@@ -58,10 +58,8 @@ class Carried:
     def __init__(self):
         self.hand = Hand.load("paper")
         self.hand.radii = np.array([0.06, 0.03, 0.05])
-        self.shift, self.turn = (
-            np.array([0.03, -0.04, 0.02]),
-            rotation_from_vector([0.3, -0.2, 0.4]),
-        )
+        self.shift = np.array([0.03, -0.04, 0.02])
+        self.turn = rotation_from_vector([0.3, -0.2, 0.4])
         self.before = rotation_from_vector([-0.5, 0.3, 0.7])
         self.theta = START + np.linspace(-0.15, 0.15, 9)
         self.tips = self.hand.fingertips(self.theta).positions

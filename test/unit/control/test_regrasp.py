@@ -17,12 +17,7 @@ from tactile_hand_ros.scenario.scenario import load_scenario
 @pytest.fixture(scope="module")
 def story():
     """Hold for 0.5 s, release for 1.5 s, and hold again; weightless, so that the cube waits."""
-    changes = {
-        "targets": [],
-        "duration": 6.0,
-        "plant.object.mass": 0.2,
-        "plant.object.friction": 1.0,
-    }
+    changes = {"targets": [], "duration": 6, "plant.object.mass": 0.2, "plant.object.friction": 1.0}
     loop = ClosedLoop(load_scenario("paper", changes))
     hand = loop.plant.hand
     record = Record.empty(loop.scenario.ticks, hand.finger_names, hand.joint_names)

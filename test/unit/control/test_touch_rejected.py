@@ -154,10 +154,8 @@ def test_a_forgotten_grasp_force_raises_nothing(risen):
 
 def test_a_held_grasp_force_rises_as_far_as_the_joints_can_bear_and_keeps_its_shape():
     bench = Bench(gravity_compensation=True)
-    limits, weight = (
-        bench.controller.hand.effort_limits,
-        bench.controller.hand.gravity_torque(bench.theta),
-    )
+    hand = bench.controller.hand
+    limits, weight = hand.effort_limits, hand.gravity_torque(bench.theta)
     force = bench.step().torque - weight
     given = bench.step(contacts=bench.without_finger(0), grasp_force=1e4).torque
     assert np.abs(given / limits).max() == pytest.approx(1.0)

@@ -243,11 +243,8 @@ def test_rotation_error_is_that_of_the_laws(seed):
 
 
 def test_plain_data_for_json():
-    given = {"a": [1.0, math.nan, (math.inf, 2)], "b": {"c": -math.inf, "d": None, "e": True}}
-    assert json_ready(given) == {
-        "a": [1.0, None, [None, 2]],
-        "b": {"c": None, "d": None, "e": True},
-    }
+    data = {"a": [1.0, math.nan, (math.inf, 2)], "b": {"c": -math.inf, "d": None, "e": True}}
+    assert json_ready(data) == {"a": [1.0, None, [None, 2]], "b": {"c": None, "d": None, "e": True}}
 
 
 def test_settling_counts_from_the_last_command_to_the_last_tick_outside():
