@@ -3,8 +3,7 @@
 
 import numpy as np
 import pytest
-from joblib import Parallel, delayed
-from support.outcomes import run_scenario, survival
+from support.outcomes import InParallel, run_scenario, survival
 
 from studies.slip.minimum import minimum_against
 from studies.slip.study import SLIDING
@@ -42,27 +41,12 @@ def changes_of(name, is_on=True):
     return changes if is_on else WITHOUT | changes
 
 
-class Records:
-    """Runs on all cores, of which each is waited for only when somebody asks for it."""
-
-    def __init__(self, cases):
-        self._found = {}
-        work = Parallel(n_jobs=-1, return_as="generator")
-        runs = (delayed(run_scenario)(name, changes_of(name, is_on)) for name, is_on in cases)
-        self._coming = zip(cases, work(runs), strict=True)
-
-    def __getitem__(self, key):
-        while key not in self._found:
-            done, record = next(self._coming)
-            self._found[done] = record
-        return self._found[key]
-
-
 @pytest.fixture(scope="session")
 def records():
     """Every scenario with slip prevention (True) and without (False)."""
     runs = [(name, True) for name in SCENARIOS + OF_HUMAN_SIZE]
-    return Records([*runs, *((name, False) for name in SCENARIOS)])
+    runs += [(name, False) for name in SCENARIOS]
+    return InParallel(run_scenario, {run: (run[0], changes_of(*run)) for run in runs})
 
 
 def slip(record):

@@ -1,9 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """Run scenarios in-process, in worker processes that can import this module."""
 
+from collections.abc import Callable, Hashable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from joblib import Parallel, delayed
 
 from studies.slip.minimum import minimum_at
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
@@ -16,6 +19,23 @@ _STEP = 0.05  # s between checked instants, besides the starts of loads
 def run_scenario(name: str, changes: dict) -> Record:
     """Return the record of a scenario with some values changed."""
     return ClosedLoop(load_scenario(name, changes)).run()
+
+
+class InParallel:
+    """Answers of a function on all cores, each of which is waited for only when it is wanted."""
+
+    def __init__(self, function: Callable[..., Any], cases: dict[Any, tuple[Any, ...]]) -> None:
+        """Start the calls; `cases` gives the arguments by a key."""
+        self._found: dict[Hashable, Any] = {}
+        work = Parallel(n_jobs=-1, return_as="generator")
+        self._coming = zip(cases, work(delayed(function)(*c) for c in cases.values()), strict=True)
+
+    def __getitem__(self, key: Hashable) -> Any:
+        """Return the answer to a case."""
+        while key not in self._found:
+            done, answer = next(self._coming)
+            self._found[done] = answer
+        return self._found[key]
 
 
 @dataclass(frozen=True)

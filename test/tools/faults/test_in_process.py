@@ -2,7 +2,7 @@
 """A short campaign in-process: nothing is dropped where an ideal hold drops nothing."""
 
 import pytest
-from joblib import Parallel, delayed
+from support.outcomes import InParallel
 
 from studies.faults.in_process import run_in_process
 from studies.faults.space import Injection
@@ -30,13 +30,12 @@ WRONG = [
 
 @pytest.fixture(scope="module")
 def outcomes():
-    runs = [AGAIN, STARVED, NO_FAULT, *FAILING, *WRONG]
-    found = Parallel(n_jobs=-1)(delayed(run_in_process)(run) for run in runs)
-    return dict(zip(runs, found, strict=True))
+    runs = [AGAIN, *FAILING, STARVED, NO_FAULT, *WRONG]
+    return InParallel(run_in_process, {run: (run,) for run in runs})
 
 
 def test_a_run_is_the_same_again_in_another_process(outcomes):
-    assert run_in_process(AGAIN) == outcomes[AGAIN]
+    assert outcomes[AGAIN] == run_in_process(AGAIN)
 
 
 @pytest.mark.parametrize("run", FAILING)
