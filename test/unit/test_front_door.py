@@ -1,11 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """The package's public names are few, documented, and free until first use."""
 
+import doctest
+import importlib
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
+from support.recorded import write_record
 
 import tactile_hand_ros
 from tactile_hand_ros import Metrics, Run, simulate
@@ -63,3 +67,14 @@ def test_a_law_is_given_as_a_class_or_by_name():
     assert named is not None and named.manipulation_controller.law.name == "contact"
     with pytest.raises(ConfigurationError, match="it has no internal_torque"):
         simulate("paper", SHORT, law=int)
+
+
+WITH_EXAMPLES = ("front_door", "sweep", "run.run", "run.metrics", "control.laws")
+
+
+def test_the_examples_in_docstrings_give_their_results(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    write_record(Path("runs/latest/bag"), simulate("paper", SHORT).record)
+    for name in WITH_EXAMPLES:
+        found = doctest.testmod(importlib.import_module(f"tactile_hand_ros.{name}"))
+        assert found.attempted and not found.failed, name
