@@ -11,6 +11,7 @@ import psutil
 import pytest
 from geometry_msgs.msg import WrenchStamped
 from mcap_ros2.reader import read_ros2_messages
+from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.publisher import Publisher
@@ -23,7 +24,6 @@ from std_msgs.msg import Float64
 from bench.processes import CapturedProcess, start_executable
 from tactile_hand_ros.bag.reader import read_messages, summarize
 from tactile_hand_ros.bag.recover import recover
-from tactile_hand_ros.ros.middleware import ros_context
 from tactile_hand_ros.ros.processes import wait_until
 
 DEEP = QoSProfile(depth=1000)
@@ -32,12 +32,11 @@ BOUND = 2.0  # s
 
 
 @pytest.fixture
-def node(domain: int) -> Iterator[Node]:
+def node(context: Context) -> Iterator[Node]:
     """Return a node in the reserved domain."""
-    with ros_context(domain=domain) as context:
-        node = Node("talker", context=context)
-        yield node
-        node.destroy_node()
+    node = Node("talker", context=context)
+    yield node
+    node.destroy_node()
 
 
 @pytest.fixture

@@ -11,11 +11,11 @@ from pathlib import Path
 import pytest
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from rclpy.context import Context
 from support.spinning import spinning
 
-from bench.processes import CapturedProcess, isolated_domain
+from bench.processes import CapturedProcess
 from tactile_hand_ros import names
-from tactile_hand_ros.ros.middleware import ros_context
 from tactile_hand_ros.ros.processes import executable_path, wait_until
 
 PRIORITY = 7
@@ -33,17 +33,16 @@ _TRY = f"import os; os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param({PRIO
 
 
 @pytest.fixture
-def reports() -> Iterator[list[DiagnosticStatus]]:
+def reports(context: Context) -> Iterator[list[DiagnosticStatus]]:
     """What the node says of itself."""
     heard: list[DiagnosticStatus] = []
-    with isolated_domain() as domain, ros_context(domain=domain) as context:
-        node = rclpy.create_node("listener", context=context)
-        node.create_subscription(
-            DiagnosticArray, names.DIAGNOSTICS, lambda m: heard.extend(m.status), 10
-        )
-        with spinning(node):
-            yield heard
-        node.destroy_node()
+    node = rclpy.create_node("listener", context=context)
+    node.create_subscription(
+        DiagnosticArray, names.DIAGNOSTICS, lambda m: heard.extend(m.status), 10
+    )
+    with spinning(node):
+        yield heard
+    node.destroy_node()
 
 
 def start(*words: str, permitted: bool = True) -> CapturedProcess:

@@ -68,20 +68,16 @@ def test_a_signal_ends_a_command_in_order_while_it_runs_and_only_then(
         finally:
             was_ended.append(True)
 
-    before = signal.getsignal(number)
     signal.signal(number, usual)
-    try:
-        assert run_command("program", command) == 128 + number
-        assert was_ended and capsys.readouterr().err == sentence
-        assert signal.getsignal(number) is usual
-        signal.signal(number, signal.SIG_IGN)
-        assert run_command("program", lambda: signal.raise_signal(number)) == 0
-        assert signal.getsignal(number) is signal.SIG_IGN
-        signal.signal(number, usual)
-        assert run_command("program", lambda: signal.signal(number, signal.SIG_IGN)) == 0
-        assert signal.getsignal(number) is signal.SIG_IGN  # the command's own setting stays
-    finally:
-        signal.signal(number, before)
+    assert run_command("program", command) == 128 + number
+    assert was_ended and capsys.readouterr().err == sentence
+    assert signal.getsignal(number) is usual
+    signal.signal(number, signal.SIG_IGN)
+    assert run_command("program", lambda: signal.raise_signal(number)) == 0
+    assert signal.getsignal(number) is signal.SIG_IGN
+    signal.signal(number, usual)
+    assert run_command("program", lambda: signal.signal(number, signal.SIG_IGN)) == 0
+    assert signal.getsignal(number) is signal.SIG_IGN  # the command's own setting stays
 
 
 def test_without_an_output_a_command_is_not_begun(monkeypatch, capsys):

@@ -7,7 +7,6 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator
 
 import pytest
 
@@ -41,16 +40,11 @@ print(woken)
 
 
 @pytest.fixture
-def signals() -> Iterator[Signals]:
+def signals(hangups_count: None) -> Signals:
     """Return signals that are installed for the duration of the test."""
-    watched = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-    before = {number: signal.getsignal(number) for number in watched}
-    signal.signal(signal.SIGHUP, signal.SIG_DFL)
     installed = Signals()
     installed.install()
-    yield installed
-    for number, handler in before.items():
-        signal.signal(number, handler)
+    return installed
 
 
 def test_a_wait_without_a_signal_lasts_as_long_as_it_should(signals):

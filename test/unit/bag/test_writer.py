@@ -2,11 +2,9 @@
 """Bags are readable by every reader, even after a failure."""
 
 import os
-import resource
 import signal
 import subprocess
 import sys
-from collections.abc import Iterator
 from typing import Any
 
 import pytest
@@ -112,17 +110,6 @@ def test_refusals(tmp_path):
         BagWriter(tmp_path / "run", compression="gzip")
     assert {path.name for path in tmp_path.iterdir()} == {"folder", "file"}
     assert (tmp_path / "file").read_text() == "precious"
-
-
-@pytest.fixture
-def small_disk() -> Iterator[int]:
-    """Limit this process to files of 100 kB, as on a full disk."""
-    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
-    handler = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, hard))
-    yield 100_000
-    resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
-    signal.signal(signal.SIGXFSZ, handler)
 
 
 def test_full_disk_is_a_clear_error_and_what_was_written_can_be_recovered(tmp_path, small_disk):

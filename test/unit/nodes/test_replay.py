@@ -10,6 +10,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
+from rclpy.context import Context
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.serialization import serialize_message
@@ -25,7 +26,6 @@ from tactile_hand_ros.cli.app import main
 from tactile_hand_ros.errors import BagError
 from tactile_hand_ros.nodes import replay as replay_module
 from tactile_hand_ros.nodes.replay import Replay
-from tactile_hand_ros.ros.middleware import ros_context
 
 TYPE, BEGIN, STEP = "std_msgs/msg/Int64", 10**18, 10_000_000
 LATCHED = offered_qos(QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL))
@@ -68,8 +68,8 @@ class Player:
 
 
 @pytest.fixture
-def play(bag: Path) -> Iterator[Callable[..., Player]]:
-    with isolated_domain() as domain, ros_context(domain=domain) as context, ExitStack() as stack:
+def play(bag: Path, context: Context) -> Iterator[Callable[..., Player]]:
+    with ExitStack() as stack:
         node = Node("replay", context=context, start_parameter_services=False)
         stack.callback(node.destroy_node)
 

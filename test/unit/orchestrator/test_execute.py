@@ -4,7 +4,6 @@
 import os
 import re
 import signal
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -59,15 +58,12 @@ def test_what_is_refused_starts_nothing(tmp_path, monkeypatch, options, complain
 
 
 @pytest.fixture
-def interrupted() -> Iterator[Signals]:
+def interrupted(handlers: None) -> Signals:
     """Return signals after a first signal."""
-    before = {n: signal.getsignal(n) for n in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
     signals = Signals()
     signals.install()
     os.kill(os.getpid(), signal.SIGINT)
-    yield signals
-    for number, handler in before.items():
-        signal.signal(number, handler)
+    return signals
 
 
 def test_a_signal_before_the_start_leaves_no_directory(tmp_path, interrupted):
@@ -160,12 +156,8 @@ def test_ros_arguments_are_taken_out():
     assert split_ros_arguments(["orchestrator", "--quiet"]) == (["--quiet"], [])
 
 
+@pytest.mark.usefixtures("handlers")
 def test_the_executable_refuses_in_one_sentence(capsys):
-    before = {n: signal.getsignal(n) for n in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
-    try:
-        assert main(["orchestrator", "papr"]) == 2
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
+    assert main(["orchestrator", "papr"]) == 2
     printed = capsys.readouterr()
     assert "did you mean 'paper'" in printed.err and printed.err.count("\n") == 1

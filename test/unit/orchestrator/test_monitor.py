@@ -12,11 +12,9 @@ from rclpy.qos import QoSProfile
 from rich.console import Console
 from sensor_msgs.msg import JointState
 
-from bench.processes import isolated_domain
 from tactile_hand_ros.orchestrator.monitor import Monitor, View, line_console
 from tactile_hand_ros.ros.diagnostics import ERROR, OK, STALE, WARN
 from tactile_hand_ros.ros.messages import stamp_from_ns
-from tactile_hand_ros.ros.middleware import ros_context
 from tactile_hand_ros.ros.processes import wait_until
 
 SECOND = 10**9
@@ -55,11 +53,10 @@ class Hand:
 
 
 @pytest.fixture
-def hand() -> Iterator[Hand]:
-    with isolated_domain() as domain, ros_context(domain=domain) as context:
-        node = Node("hand", context=context, namespace="/left", start_parameter_services=False)
-        yield Hand(node)
-        node.destroy_node()
+def hand(context: Any) -> Iterator[Hand]:
+    node = Node("hand", context=context, namespace="/left", start_parameter_services=False)
+    yield Hand(node)
+    node.destroy_node()
 
 
 def test_what_the_nodes_say_is_kept_by_node_until_they_say_something_else(hand):

@@ -14,11 +14,9 @@ from std_msgs.msg import Float64
 from std_srvs.srv import SetBool
 from support.spinning import spinning
 
-from bench.processes import isolated_domain
 from tactile_hand_ros.orchestrator.steering import Steering, SteeringError, how_to_steer
 from tactile_hand_ros.ros import qos
 from tactile_hand_ros.ros.messages import PoseCodec, stamp_to_ns
-from tactile_hand_ros.ros.middleware import ros_context
 from tactile_hand_ros.ros.processes import wait_until
 from tactile_hand_ros.rotations import rotation_from_quaternion
 from tactile_hand_ros.scenario.scenario import TargetConfig, UserForceConfig, load_scenario
@@ -29,12 +27,6 @@ TARGETS = [
 ]
 FORCES = [UserForceConfig(time=time, force=1.0 + time) for time in (2.0, 0.0, 1.0)]
 SCENARIO = load_scenario("paper").model_copy(update={"targets": TARGETS, "user_forces": FORCES})
-
-
-@pytest.fixture
-def context() -> Iterator[Context]:
-    with isolated_domain() as domain, ros_context(domain=domain) as made:
-        yield made
 
 
 @pytest.fixture

@@ -18,7 +18,6 @@ from std_srvs.srv import Trigger
 from bench.processes import CapturedProcess, isolated_domain
 from tactile_hand_ros.ros.endpoints import subscribe_directly
 from tactile_hand_ros.ros.executor import WaitSetExecutor, spin
-from tactile_hand_ros.ros.middleware import ros_context
 from tactile_hand_ros.ros.processes import wait_until
 from tactile_hand_ros.ros.qos import user_qos
 
@@ -38,13 +37,12 @@ class Survivor(Node):
 
 
 @pytest.fixture
-def nodes() -> Iterator[list[Any]]:
-    with isolated_domain() as domain, ros_context(domain=domain) as context:
-        made: list[Any] = [Survivor("a", context), Survivor("b", context)]
-        made.append(Node("plain", context=context, start_parameter_services=False))
-        yield made
-        for node in made:
-            node.destroy_node()
+def nodes(context: Any) -> Iterator[list[Any]]:
+    made: list[Any] = [Survivor("a", context), Survivor("b", context)]
+    made.append(Node("plain", context=context, start_parameter_services=False))
+    yield made
+    for node in made:
+        node.destroy_node()
 
 
 def publish(node: Node, topic: str, *messages: Any) -> None:

@@ -5,24 +5,22 @@ from collections.abc import Iterator
 from typing import Any
 
 import pytest
+from rclpy.context import Context
 from rclpy.node import Node
 from rclpy.serialization import serialize_message
 from std_msgs.msg import Float64
 from support.spinning import spinning
 
-from bench.processes import isolated_domain
 from tactile_hand_ros.ros import qos
-from tactile_hand_ros.ros.middleware import ros_context
 from tactile_hand_ros.ros.node import TickPublisher
 from tactile_hand_ros.ros.processes import wait_until
 
 
 @pytest.fixture
-def node() -> Iterator[Node]:
-    with isolated_domain() as domain, ros_context(domain=domain) as context:
-        made = Node("sender", namespace="left", context=context)
-        yield made
-        made.destroy_node()
+def node(context: Context) -> Iterator[Node]:
+    made = Node("sender", namespace="left", context=context)
+    yield made
+    made.destroy_node()
 
 
 class Encoder:

@@ -11,24 +11,17 @@ import pytest
 import rclpy
 from rclpy.node import Node
 
-from bench.processes import isolated_domain
 from tactile_hand_ros.errors import TactileHandError
 from tactile_hand_ros.nodes.force_optimizer import ForceOptimizerNode
 from tactile_hand_ros.ros import runner
 
 LOOSE = TactileHandError("the cable is loose, fix it.")
-SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
 @pytest.fixture(autouse=True)
-def _process(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+def _process(handlers: None, domain: int) -> Iterator[None]:
     """Restore the signal handlers and the garbage collector."""
-    before = {number: signal.getsignal(number) for number in SIGNALS}
-    with isolated_domain() as domain:
-        monkeypatch.setenv("ROS_DOMAIN_ID", str(domain))
-        yield
-    for number, handler in before.items():
-        signal.signal(number, handler)
+    yield
     gc.unfreeze()
 
 
