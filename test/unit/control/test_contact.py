@@ -11,7 +11,6 @@ from tactile_hand_ros.control.contact import (
     Contacts,
     contact_frame,
     hand_jacobian,
-    in_palm,
     joint_torques,
 )
 from tactile_hand_ros.hand.hand import Hand
@@ -108,13 +107,6 @@ def test_joint_torques_are_the_transposed_hand_jacobian_times_the_forces(touch):
     torques = joint_torques(*tips, points, forces)
     np.testing.assert_allclose(torques, jacobian.T @ forces.ravel(), atol=1e-15)
     assert torques @ rates == pytest.approx((jacobian @ rates) @ forces.ravel())
-
-
-def test_forces_are_turned_into_palm_axes():
-    frames = np.array([contact_frame(n) for n in np.eye(3)])
-    forces = np.random.default_rng(6).normal(size=(3, 3))
-    expected = [2.0 * frame @ force for frame, force in zip(frames, forces, strict=True)]
-    np.testing.assert_allclose(in_palm(frames, forces, 2.0), expected, atol=1e-15)
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])

@@ -393,7 +393,7 @@ def test_reset_forgets_everything(interrupt):
     bench.controller.command(bench.target(0.0, 0.05, 0.0), stamp=bench.stamp + 3 * TICK)
     bench.controller.reset()
     assert bench.controller.targets.target is None and not bench.controller.is_open
-    with pytest.raises(GraspError, match="there is no grasp to release"):
+    with pytest.raises(GraspError, match="no grasp to release; let all fingers touch"):
         bench.controller.release()
     fresh.stamp = bench.stamp
     # Upside down: a remembered side of the virtual frame would show.

@@ -310,15 +310,13 @@ def test_with_encoders_only_what_moves_the_object_is_damped_as_k_f_needs_it(tmp_
     assert_allclose(gains.at(1e9)[1], 1000.0 / quietest * gains.at(0.0)[1], atol=1e-6)
 
 
-@pytest.mark.parametrize("late", [0, 1])
-def test_a_hand_of_human_size_needs_no_gain_also_with_commands_that_are_late(late):
-    changes = {"plant.rate": 1000.0 / (2 - late), "tactile_sensor.rate": 1000.0 / (2 - late)}
-    loop = ClosedLoop(load_scenario("human_hold", {**changes, "duration": 1.0}))
+def test_a_hand_of_human_size_needs_no_gain_also_with_commands_that_are_a_tick_late():
+    loop = ClosedLoop(load_scenario("human_hold", {"duration": 1.0}))
     hand, waiting = loop.plant.hand, []
     record = Record.empty(400, hand.finger_names, hand.joint_names)
     for row in range(400):
         waiting.append(loop.answer(record, row).torque)
-        loop.advance(waiting[max(0, row - late)])
+        loop.advance(waiting[max(0, row - 1)])
     assert not np.isnan(record.true_positions).any()
     assert np.abs(record.rates[-100:]).max() < 1.0
     assert record.true_slid[-1].max() < 1e-4

@@ -9,7 +9,6 @@ from support.grasps import moved
 from tactile_hand_ros.control.contact import Contacts, contact_frame
 from tactile_hand_ros.control.laws import LawConfig, ManipulationLaw, OptimalLaw, Target
 from tactile_hand_ros.control.optimizer.force_optimizer import ForceOptimizer, ForceOptimizerConfig
-from tactile_hand_ros.errors import CollinearContactsError
 from tactile_hand_ros.hand.hand import Hand
 from tactile_hand_ros.rotations import rotation_from_vector
 
@@ -252,11 +251,3 @@ def test_reset_forgets_frame_integral_and_load(grip):
             again.total, grip.torque("optimal", law=fresh, forces=FORCES).total
         )
     np.testing.assert_array_equal(law.integral_wrench, fresh.integral_wrench)
-
-
-def test_a_grasp_on_a_line_is_an_error(grip):
-    flat = grip.contacts.positions * [1.0, 0.0, 0.0]
-    contacts = Contacts(flat, grip.contacts.rotations)
-    law = ManipulationLaw(LawConfig(), RADII)
-    with pytest.raises(CollinearContactsError):
-        law.auxiliary_pose(grip.tips, contacts)

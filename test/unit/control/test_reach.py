@@ -128,21 +128,6 @@ def reach(target):
 @pytest.mark.parametrize(
     ("position", "turn"),
     [
-        ([-0.1, 0.2, 0.4], [0.0, 0.0, 0.0]),
-        ([0.0, 0.0434, 0.4098], [0.0, 0.0, 0.2]),
-        ([0.05, 0.0, 0.38], [0.0, 0.0, 0.15]),
-    ],
-)
-def test_the_shipped_targets_are_in_reach_and_those_40_cm_higher_are_not(position, turn):
-    reach(Target(np.array(position), rotation_from_vector(turn)))
-    higher = np.array(position) + [0.0, 0.0, 0.4]
-    with pytest.raises(PoseError):
-        reach(Target(higher, rotation_from_vector(turn)))
-
-
-@pytest.mark.parametrize(
-    ("position", "turn"),
-    [
         ([0.0, 0.0434, 3.0], [0.0, 0.0, 0.0]),
         ([2.0, 0.0, 0.4], [0.0, 0.0, 0.0]),
         ([0.0, 0.0434, 0.9], [2.5, 0.0, 0.0]),
