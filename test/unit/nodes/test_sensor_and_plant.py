@@ -8,7 +8,6 @@ from rcl_interfaces.msg import Log
 from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from std_msgs.msg import String
-from std_srvs.srv import SetBool, Trigger
 from support.nodes import facts, tapped
 
 from tactile_hand_ros import names
@@ -52,21 +51,6 @@ def test_a_wrong_calibration_moves_contacts_with_the_joints(here):
     expected = miscalibrated(node.config.calibration, HAND, STATE.theta, TRUE)
     np.testing.assert_allclose(sense(node, 5).positions, expected.positions)
     assert np.abs(expected.positions - TRUE.positions).max() > 1e-4
-
-
-def test_a_plant_takes_commands_by_joint_name_and_its_services_answer_with_its_mode(here):
-    node = here.make(PlantNode, composed=False)
-    publisher = here.user.create_publisher(_kind(node), names.JOINT_COMMAND, tick_qos())
-    here.wait(lambda: publisher.get_subscription_count() == 1)
-    encode = JointCodec(HAND.joint_names, ("effort",)).encode
-    publisher.publish(encode(0, np.full(HAND.joints, 0.01)))
-    here.wait(lambda: facts(node)["tick_ns"] == str(TICK), "the next tick")
-    for on, mode in ((False, "paused"), (True, "running")):
-        answer = here.call(SetBool, "plant/run", data=on)
-        assert (answer.success, answer.message) == (True, mode)
-    answer = here.call(Trigger, "plant/reset")
-    assert (answer.success, answer.message) == (True, "running")
-    assert facts(node)["tick_ns"] == "0" and facts(node)["touching"] == "3"
 
 
 def _kind(node: Any) -> Any:

@@ -19,7 +19,6 @@ from support.spinning import spinning
 
 from bench.processes import isolated_domain
 from tactile_hand_ros import names
-from tactile_hand_ros.errors import ConfigurationError
 from tactile_hand_ros.orchestrator import steering as module
 from tactile_hand_ros.orchestrator.steering import HandClient, SteeringError
 from tactile_hand_ros.ros import qos
@@ -154,15 +153,6 @@ def test_a_pose_is_asked_for_once_and_may_keep_the_orientation_of_the_grasp(hand
 def test_a_force_has_the_time_at_which_it_takes_effect(hand, client):
     assert client.grasp_force(7.25) == pytest.approx(12.5)
     assert hand.forces == [7.25]
-
-
-@pytest.mark.parametrize("wrong", [np.nan, np.inf])
-def test_a_number_that_is_not_finite_is_refused_before_anything_is_sent(hand, client, wrong):
-    with pytest.raises(ConfigurationError, match="is not a finite number"):
-        client.move([wrong, 0.0, 0.0], [0.0] * 3)
-    with pytest.raises(ConfigurationError, match="is not a finite number"):
-        client.grasp_force(wrong)
-    assert (hand.poses, hand.forces) == ([], [])
 
 
 def test_what_stays_without_an_answer_is_sent_again(hand, client, monkeypatch):

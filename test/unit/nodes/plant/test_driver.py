@@ -177,7 +177,7 @@ def test_a_running_plant_publishes_its_first_tick_again_at_a_reset(make):
     rig = make()
     rig.answer(0, 1)
     rig.here.wait(lambda: 2 in rig.ticks())
-    rig.reset()
+    assert rig.reset().message == "running" and facts(rig.node)["touching"] == "3"
     rig.here.wait(lambda: rig.ticks()[-1] == 0, "the first tick")
     rig.answer(0)
 
