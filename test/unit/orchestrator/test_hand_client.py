@@ -39,19 +39,14 @@ class Hand:
         self.poses: list[PoseStamped] = []
         self.forces: list[float] = []
         self.calls: list[tuple[str, Any]] = []
-        user = qos.user_qos()
+        make, user = node.create_publisher, qos.user_qos()
         self._answers = {
-            names.DESIRED_POSE: node.create_publisher(PoseStamped, names.ACCEPTED_POSE, user),
-            names.USER_GRASP_FORCE: node.create_publisher(
-                WrenchStamped, names.ACCEPTED_FORCE, user
-            ),
+            names.DESIRED_POSE: make(PoseStamped, names.ACCEPTED_POSE, user),
+            names.USER_GRASP_FORCE: make(WrenchStamped, names.ACCEPTED_FORCE, user),
         }
         self._refusals = {
-            topic: node.create_publisher(DiagnosticArray, names.rejected(owner), user)
-            for topic, owner in (
-                (names.DESIRED_POSE, names.CONTROLLER),
-                (names.USER_GRASP_FORCE, names.REGULATOR),
-            )
+            names.DESIRED_POSE: make(DiagnosticArray, names.rejected(names.CONTROLLER), user),
+            names.USER_GRASP_FORCE: make(DiagnosticArray, names.rejected(names.REGULATOR), user),
         }
         node.create_subscription(PoseStamped, names.DESIRED_POSE, self._on_pose, user)
         node.create_subscription(Float64, names.USER_GRASP_FORCE, self._on_force, user)
@@ -70,12 +65,9 @@ class Hand:
 
     def _on_force(self, message: Float64) -> None:
         self.forces.append(message.data)
-        accepted, other = ((0.0, y, 0.0) for y in (message.data, message.data + 1.0))
-        self._answer(
-            names.USER_GRASP_FORCE,
-            force_message(accepted, STAMP, "palm"),
-            force_message(other, 1, "palm"),
-        )
+        accepted = force_message((0.0, message.data, 0.0), STAMP, "palm")
+        other = force_message((0.0, message.data + 1.0, 0.0), 1, "palm")
+        self._answer(names.USER_GRASP_FORCE, accepted, other)
 
     def _answer(self, topic: str, accepted: Any, other: Any) -> None:
         """Publish the answer to a command after the answer to another user."""
