@@ -23,6 +23,12 @@ def contacts_at(points: Array, normals: Array) -> Contacts:
     return Contacts(np.asarray(points, dtype=float), np.array([contact_frame(n) for n in normals]))
 
 
+LOPSIDED = contacts_at(
+    [[0.06, 0.01, 0.02], [-0.04, 0.03, -0.01], [0.01, -0.07, 0.03], [0.0, 0.02, -0.05]],
+    [[-1.0, 0.1, 0.3], [0.8, -0.5, 0.2], [0.1, 1.0, -0.4], [0.2, 0.1, 1.0]],
+)
+
+
 def moved(contacts: Contacts, rotation: Array, shift: Array) -> Contacts:
     """Return contacts carried along by a rigid motion, frames included."""
     return Contacts(contacts.positions @ rotation.T + shift, rotation @ contacts.rotations)

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import minimize
-from support.grasps import contacts_at, grasps, three_faces
+from support.grasps import LOPSIDED, grasps, three_faces
 
 from tactile_hand_ros.control.optimizer.cone_optimizer import ConeOptimizer
 from tactile_hand_ros.control.optimizer.cones import Cones
@@ -201,12 +201,6 @@ def test_a_program_without_an_answer_says_so_and_the_next_one_is_none_the_worse(
     found = program.solve(corner([[-1.0, 0.0], [0.0, 1.0]], [-0.25, 0.0], [0.0, 0.0]))
     np.testing.assert_allclose(found.x, [1.0, 0.0], atol=1e-9)
     assert found.residual < 1e-12
-
-
-LOPSIDED = contacts_at(
-    [[0.06, 0.01, 0.02], [-0.04, 0.03, -0.01], [0.01, -0.07, 0.03], [0.0, 0.02, -0.05]],
-    [[-1.0, 0.1, 0.3], [0.8, -0.5, 0.2], [0.1, 1.0, -0.4], [0.2, 0.1, 1.0]],
-)
 
 
 def documented(balance, weights, minimum, friction, load):
