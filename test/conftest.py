@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What every test may rely on, however the suite was started."""
 
-from __future__ import annotations
-
+import resource
 import signal
 import sys
 from collections.abc import Iterator
@@ -32,11 +31,30 @@ def pytest_configure() -> None:
 
 
 @pytest.fixture
-def hangups_count() -> Iterator[None]:
-    """Let SIGHUP end a process, also below nohup."""
-    before = signal.signal(signal.SIGHUP, signal.SIG_DFL)
+def handlers() -> Iterator[None]:
+    """Restore the handlers of the signals that end a process."""
+    ending = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+    before = {number: signal.getsignal(number) for number in ending}
     yield
-    signal.signal(signal.SIGHUP, before)
+    for number, handler in before.items():
+        signal.signal(number, handler)
+
+
+@pytest.fixture
+def hangups_count(handlers: None) -> None:
+    """Let SIGHUP end a process, also below nohup."""
+    signal.signal(signal.SIGHUP, signal.SIG_DFL)
+
+
+@pytest.fixture
+def small_disk() -> Iterator[int]:
+    """Limit this process to files of 100 kB, as on a full disk."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    handler = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, hard))
+    yield 100_000
+    resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    signal.signal(signal.SIGXFSZ, handler)
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -53,6 +71,15 @@ def domain() -> Iterator[int]:
 
     with isolated_domain() as number:
         yield number
+
+
+@pytest.fixture
+def context(domain: int) -> Iterator[Any]:
+    """A ROS context in a domain of its own."""
+    from tactile_hand_ros.ros.middleware import ros_context
+
+    with ros_context(domain=domain) as made:
+        yield made
 
 
 @pytest.fixture

@@ -1,13 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """Every script in examples/ runs as a user runs it, and prints its result."""
 
-from __future__ import annotations
-
 import os
 import re
 import subprocess
 import sys
 from collections.abc import Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
@@ -19,6 +18,7 @@ from tactile_hand_ros.scenario.scenario import resolved
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 PATIENCE = 240.0  # s
+DRIVES = "drive_by_topic.py"
 
 # What the output of each script must match.
 PRINTED = {
@@ -31,35 +31,48 @@ PRINTED = {
 }
 
 
-@pytest.fixture
-def needed(request: pytest.FixtureRequest, tmp_path: Path, domain: int) -> Iterator[None]:
-    """Provide what a script finds: a run to read, or a hand to drive."""
-    name = request.getfixturevalue("name")
-    if name == "read_bag.py":
-        short = {"duration": 0.12}
-        scenario = {"scenario": resolved(load_scenario("paper", short))}
-        record = simulate("paper", short).record
-        write_record(tmp_path / "runs" / "latest" / "bag", record, custom_data=scenario)
-    if name != "drive_by_topic.py":
-        yield
-        return
-    words = ("paper", "--interactive", "--out", str(tmp_path / "runs"), "--set", "targets=[]")
-    with start_executable("orchestrator", *words) as hand:
-        hand.wait_for_output("t = ", PATIENCE)
-        yield
+Done = subprocess.CompletedProcess[str]
 
 
-@pytest.mark.parametrize("name", sorted(path.name for path in EXAMPLES.glob("*.py")))
-@pytest.mark.usefixtures("needed")
-def test_an_example_runs_and_prints_its_result(name: str, tmp_path: Path) -> None:
-    done = subprocess.run(
+def run(name: str, folder: Path) -> Done:
+    """Run a script in a folder."""
+    return subprocess.run(
         [sys.executable, EXAMPLES / name],
-        cwd=tmp_path,
+        cwd=folder,
         env={**os.environ, "MPLBACKEND": "agg"},
         capture_output=True,
         text=True,
         timeout=PATIENCE,
     )
+
+
+@pytest.fixture(scope="module")
+def started(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, Future[Done]]]:
+    """Start the scripts on all cores, except the one that drives a hand; one finds a run."""
+    assert set(PRINTED) == {path.name for path in EXAMPLES.glob("*.py")}
+    folders = {name: tmp_path_factory.mktemp("example") for name in PRINTED if name != DRIVES}
+    short = {"duration": 0.12}
+    scenario = {"scenario": resolved(load_scenario("paper", short))}
+    bag = folders["read_bag.py"] / "runs" / "latest" / "bag"
+    write_record(bag, simulate("paper", short).record, custom_data=scenario)
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        yield {name: pool.submit(run, name, folder) for name, folder in folders.items()}
+
+
+def check(name: str, done: Done) -> None:
     assert done.returncode == 0, done.stderr
     assert re.search(PRINTED[name], done.stdout, re.S), done.stdout
     assert len((EXAMPLES / name).read_text().splitlines()) < 40
+
+
+@pytest.mark.parametrize("name", [name for name in PRINTED if name != DRIVES])
+def test_an_example_runs_and_prints_its_result(started, name):
+    check(name, started[name].result())
+
+
+@pytest.mark.usefixtures("domain")
+def test_the_example_that_drives_a_running_hand_prints_where_it_is(tmp_path):
+    words = ("paper", "--interactive", "--out", str(tmp_path / "runs"), "--set", "targets=[]")
+    with start_executable("orchestrator", *words) as hand:
+        hand.wait_for_output("t = ", PATIENCE)
+        check(DRIVES, run(DRIVES, tmp_path))

@@ -1,18 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """All nodes in one process: the numbers of the closed loop, and ordinary nodes alongside."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
-import pytest
 from geometry_msgs.msg import PoseArray, WrenchStamped
 from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool, Trigger
 from support.graph import parameter_files
 from support.messages import encoded
-from support.nodes import Process, counts, facts, process, tapped
+from support.nodes import Process, counts, facts, tapped
 
 from tactile_hand_ros import names
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
@@ -43,86 +40,73 @@ def start(here: Process, scenario: Scenario, tmp_path: Any, *, controllers: bool
 def run_to_the_end(here: Process, plant: Any) -> None:
     """Let time pass until the plant has finished."""
     assert here.call(SetBool, "plant/run", data=True).success
-    here.wait(lambda: not plant.work() and _mode(plant) == "finished", "the end")
+    here.wait(lambda: not plant.work() and facts(plant)["mode"] == "finished", "the end")
 
 
-def _mode(plant: Any) -> str:
-    plant.on_report()
-    return next(p.value for p in plant.diagnostics.status().values if p.key == "mode")
-
-
-def test_the_bytes_are_those_of_the_closed_loop(tmp_path: Any) -> None:
+def test_the_bytes_are_those_of_the_closed_loop(tmp_path, here):
     """Also after the ticks have started over."""
     scenario = short(**{"tactile_sensor.force_noise": 0.05})
     expected = encoded(ClosedLoop(scenario).run(TICKS))
-    with process() as here:
-        nodes = start(here, scenario, tmp_path)
-        sent = [tapped(node) for node in nodes.values()]
-        run_to_the_end(here, nodes["plant"])
-        for again in (True, False):
-            found = {f"/{topic}": data for each in sent for topic, data in each.items()}
-            assert {topic: found[topic][:TICKS] for topic in expected} == expected
-            for data in found.values():
-                data.clear()
-            if again:
-                assert here.call(Trigger, "plant/reset").success
-                run_to_the_end(here, nodes["plant"])
+    nodes = start(here, scenario, tmp_path)
+    sent = [tapped(node) for node in nodes.values()]
+    run_to_the_end(here, nodes["plant"])
+    for again in (True, False):
+        found = {f"/{topic}": data for each in sent for topic, data in each.items()}
+        assert {topic: found[topic][:TICKS] for topic in expected} == expected
+        for data in found.values():
+            data.clear()
+        if again:
+            assert here.call(Trigger, "plant/reset").success
+            run_to_the_end(here, nodes["plant"])
 
 
-def test_nothing_is_encoded_when_nobody_wants_it(
-    tmp_path: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    with process() as here:
-        nodes = start(here, short(), tmp_path)
-        encoded: list[int] = []
-        template = "tactile_hand_ros.ros.messages.CdrTemplate.stamped"
-        monkeypatch.setattr(template, lambda _, stamp: encoded.append(stamp) or b"")
-        run_to_the_end(here, nodes["plant"])
-        assert encoded == []
-        assert int(facts(nodes["manipulation_controller"])["ticks"]) >= TICKS
+def test_nothing_is_encoded_when_nobody_wants_it(tmp_path, monkeypatch, here):
+    nodes = start(here, short(), tmp_path)
+    encoded: list[int] = []
+    template = "tactile_hand_ros.ros.messages.CdrTemplate.stamped"
+    monkeypatch.setattr(template, lambda _, stamp: encoded.append(stamp) or b"")
+    run_to_the_end(here, nodes["plant"])
+    assert encoded == []
+    assert int(facts(nodes["manipulation_controller"])["ticks"]) >= TICKS
 
 
-def test_a_node_that_fails_leaves_its_tick_without_a_command(
-    tmp_path: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_node_that_fails_leaves_its_tick_without_a_command(tmp_path, monkeypatch, here):
     """In real time, at a rate that a busy machine keeps, the guard holds the joints meanwhile."""
     scenario = short("paper", **{"plant.pacing": "realtime", "plant.rate": 10.0, "duration": 60.0})
-    with process() as here:
-        nodes = start(here, scenario, tmp_path)
-        plant, regulator = nodes["plant"], nodes["slip_regulator"]
-        assert here.call(SetBool, "plant/run", data=True).success
-        here.wait(lambda: int(facts(regulator)["ticks"]) > 5, "ticks")
-        core = "tactile_hand_ros.control.slip.regulator.SlipRegulator.step"
-        monkeypatch.setattr(core, lambda *_: {}["left"])
-        here.wait(lambda: "ticks" in counts(regulator, "errors"), "the failure")
-        here.wait(lambda: _mode(plant) == "holding", "the hold")
-        monkeypatch.undo()
-        here.wait(lambda: _mode(plant) == "running", "the end of the hold")
+    nodes = start(here, scenario, tmp_path)
+    plant, regulator = nodes["plant"], nodes["slip_regulator"]
+    assert here.call(SetBool, "plant/run", data=True).success
+    here.wait(lambda: int(facts(regulator)["ticks"]) > 5, "ticks")
+    core = "tactile_hand_ros.control.slip.regulator.SlipRegulator.step"
+    monkeypatch.setattr(core, lambda *_: {}["left"])
+    here.wait(lambda: "ticks" in counts(regulator, "errors"), "the failure")
+    here.wait(lambda: facts(plant)["mode"] == "holding", "the hold")
+    monkeypatch.undo()
+    here.wait(lambda: facts(plant)["mode"] == "running", "the end of the hold")
 
 
-def test_the_controllers_of_a_real_hand_answer_joints_and_touch(tmp_path: Any) -> None:
+def test_the_controllers_of_a_real_hand_answer_joints_and_touch(tmp_path, here):
     """Fed with what the drivers of a hand publish, they answer as in the closed loop."""
     scenario = short("paper")
     expected = ClosedLoop(scenario).run(20)
-    with process() as here:
-        nodes = start(here, scenario, tmp_path, controllers=True)
-        sent = tapped(nodes["manipulation_controller"])["joint_command"]
-        fingers = expected.finger_names
-        frames = [WrenchCodec(names.contact_frame(name)) for name in fingers]
-        user, tick = here.user, tick_qos()
-        joints = user.create_publisher(JointState, names.JOINT_STATES, tick)
-        contacts = user.create_publisher(PoseArray, names.CONTACTS, tick)
-        wrenches = [user.create_publisher(WrenchStamped, names.wrench(n), tick) for n in fingers]
-        for each in (joints, contacts, *wrenches):
-            here.wait(lambda each=each: each.get_subscription_count() == 1, each.topic_name)
-        r = expected
-        for row, stamp in enumerate(int(s) for s in r.stamps):
-            states = JointCodec(r.joint_names).encode
-            joints.publish(states(stamp, r.theta[row], r.rates[row], r.torque[row]))
-            touch = r.contact_positions[row], r.contact_quaternions[row]
-            contacts.publish(ContactsCodec(3).encode(*touch, stamp))
-            for publisher, codec, force in zip(wrenches, frames, r.forces[row], strict=True):
-                publisher.publish(codec.encode(force, stamp))
-            here.wait(lambda row=row: len(sent) == row + 1, f"the answer to {stamp}")
+    nodes = start(here, scenario, tmp_path, controllers=True)
+    sent = tapped(nodes["manipulation_controller"])["joint_command"]
+    fingers = expected.finger_names
+    frames = [WrenchCodec(names.contact_frame(name)) for name in fingers]
+    user, tick = here.user, tick_qos()
+    joints = user.create_publisher(JointState, names.JOINT_STATES, tick)
+    contacts = user.create_publisher(PoseArray, names.CONTACTS, tick)
+    wrenches = [user.create_publisher(WrenchStamped, names.wrench(n), tick) for n in fingers]
+    for each in (joints, contacts, *wrenches):
+        here.wait(lambda each=each: each.get_subscription_count() == 1, each.topic_name)
+    r = expected
+    for row, stamp in enumerate(int(s) for s in r.stamps):
+        states = JointCodec(r.joint_names).encode
+        joints.publish(states(stamp, r.theta[row], r.rates[row], r.torque[row]))
+        touch = r.contact_positions[row], r.contact_quaternions[row]
+        contacts.publish(ContactsCodec(3).encode(*touch, stamp))
+        for publisher, codec, force in zip(wrenches, frames, r.forces[row], strict=True):
+            publisher.publish(codec.encode(force, stamp))
+        here.wait(lambda row=row: len(sent) == row + 1, f"the answer to {stamp}")
     torques = [JointCodec(r.joint_names, ("effort",)).decode(data)[1][0] for data in sent]
     np.testing.assert_array_equal(torques, expected.command)

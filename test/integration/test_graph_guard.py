@@ -1,10 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """In real time, at the defaults: a hand whose controller dies while it moves keeps the object."""
 
-from __future__ import annotations
-
 import signal
-from pathlib import Path
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
@@ -19,12 +16,7 @@ from tactile_hand_ros.scenario.scenario import load_scenario
 
 SCENARIO = load_scenario(
     "paper",
-    {
-        "duration": 86400.0,
-        "plant.autostart": False,
-        "plant.rate": 200.0,
-        "plant.pacing": "realtime",
-    },
+    {"duration": 86400, "plant.autostart": False, "plant.rate": 200.0, "plant.pacing": "realtime"},
 )
 P_D = np.array(SCENARIO.targets[0].position)
 
@@ -39,7 +31,7 @@ def holds(graph: Graph) -> bool:
     )
 
 
-def test_a_killed_controller_in_real_time_costs_no_object(tmp_path: Path) -> None:
+def test_a_killed_controller_in_real_time_costs_no_object(tmp_path):
     with isolated_domain() as domain, Graph(SCENARIO, domain, tmp_path) as graph:
         told: list[bool] = []
         known: list[str] = []

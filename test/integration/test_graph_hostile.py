@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Hostile bytes, stamps, numbers, parameters and floods: no node ends, and the grip stays."""
 
-from __future__ import annotations
-
 import signal
 import struct
 from collections.abc import Iterator
@@ -106,7 +104,7 @@ def stamped(data: bytes, seconds: int, nanoseconds: int) -> bytes:
     return data[:4] + struct.pack("<iI", seconds, nanoseconds) + data[12:]
 
 
-def test_bytes_that_are_no_message_are_counted_on_every_input(graph: Graph) -> None:
+def test_bytes_that_are_no_message_are_counted_on_every_input(graph):
     topics = inputs(graph)
     assert len(topics) >= 16  # of five nodes and three fingers
     attacks = {topic: list(NO_MESSAGES) for topic in topics}
@@ -116,7 +114,7 @@ def test_bytes_that_are_no_message_are_counted_on_every_input(graph: Graph) -> N
     attack(graph, attacks)
 
 
-def test_stamps_that_are_no_time_are_refused_on_every_stamped_input(graph: Graph) -> None:
+def test_stamps_that_are_no_time_are_refused_on_every_stamped_input(graph):
     topics = inputs(graph)
     for topic in (names.USER_GRASP_FORCE, names.JOINT_HOLD, names.TOUCH_REJECTED):  # have none
         del topics[topic]
@@ -128,7 +126,7 @@ def test_stamps_that_are_no_time_are_refused_on_every_stamped_input(graph: Graph
     attack(graph, {t: [stamped(sent[t], *when) for when in NO_TIMES] for t in topics})
 
 
-def test_numbers_that_would_overflow_are_refused(graph: Graph) -> None:
+def test_numbers_that_would_overflow_are_refused(graph):
     state = graph.newest(names.JOINT_STATES)
     stamp = 10**9 * state.header.stamp.sec + state.header.stamp.nanosec
     huge = [1e308] * len(state.name)
@@ -160,17 +158,14 @@ def floods(graph: Graph) -> dict[str, tuple[str, Any]]:
         "poses out of reach": (names.DESIRED_POSE, pose_message((0.5, 0.5, 0.5), np.eye(3), 0)),
         "poses": (names.DESIRED_POSE, pose_message(P_D, np.eye(3), 0)),
         "grasp forces": (names.USER_GRASP_FORCE, Float64(data=10.0)),
-        "megabytes": (
-            names.DESIRED_POSE,
-            pose_message(P_D, np.eye(3), 0, frame="x" * 1_000_000),
-        ),
+        "megabytes": (names.DESIRED_POSE, pose_message(P_D, np.eye(3), 0, frame="x" * 1_000_000)),
     }
 
 
 @pytest.mark.parametrize(
     "which", ["future poses", "poses out of reach", "poses", "grasp forces", "megabytes"]
 )
-def test_a_flood_costs_ticks_and_not_the_grip(graph: Graph, which: str) -> None:
+def test_a_flood_costs_ticks_and_not_the_grip(graph, which):
     """At 2500 messages a second, megabytes at 50, the ticks do not stand still."""
     topic, message = floods(graph)[which]
     publisher = graph.node.create_publisher(type(message), topic, qos.user_qos())

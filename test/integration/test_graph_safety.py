@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Whatever is sent or dies, the object stays in the hand, the nodes say so, and the run goes on."""
 
-from __future__ import annotations
-
 import math
 import signal
 from collections.abc import Iterator
@@ -85,16 +83,11 @@ def effort(graph: Graph, torque: float) -> JointState:
     return message
 
 
-MISSED = {
-    "tactile_sensor": "no tactile/contacts",
-    "slip_regulator": "no grasp_force",
-}
+MISSED = {"tactile_sensor": "no tactile/contacts", "slip_regulator": "no grasp_force"}
 
 
 @pytest.mark.parametrize("victim", MISSED)
-def test_the_hand_holds_without_a_node_and_moves_on_when_it_is_back(
-    graph: Graph, victim: str
-) -> None:
+def test_the_hand_holds_without_a_node_and_moves_on_when_it_is_back(graph, victim):
     graph.kill(victim)
     at = graph.position()
     graph.wait(
@@ -111,7 +104,7 @@ def test_the_hand_holds_without_a_node_and_moves_on_when_it_is_back(
     assert_held(graph)
 
 
-def test_the_joints_are_held_without_a_controller_until_it_is_back(graph: Graph) -> None:
+def test_the_joints_are_held_without_a_controller_until_it_is_back(graph):
     """Commands that cannot be used do not count as a controller."""
     graph.kill("manipulation_controller")
     at = graph.position()
@@ -134,7 +127,7 @@ def test_the_joints_are_held_without_a_controller_until_it_is_back(graph: Graph)
     assert_held(graph)
 
 
-def test_two_senders_that_disagree_are_answered_with_a_hold(graph: Graph) -> None:
+def test_two_senders_that_disagree_are_answered_with_a_hold(graph):
     """A second controller that was started by mistake, say; what it sends moves nothing."""
     publisher = stranger(graph, JointState, names.JOINT_COMMAND)
     at = graph.position()

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The orchestrator with all its processes: results, refusals, signals, deaths, steering."""
 
-from __future__ import annotations
-
 import fcntl
 import json
 import os
@@ -112,9 +110,7 @@ def assert_gone(processes: list[psutil.Process]) -> None:
     wait_until(lambda: not any(p.is_running() for p in processes), 20.0, "the end of all")
 
 
-def test_what_was_answered_in_an_overloaded_real_time_run_can_be_recomputed(
-    start: Start, near: Path, tmp_path: Path
-) -> None:
+def test_what_was_answered_in_an_overloaded_real_time_run_can_be_recomputed(start, near, tmp_path):
     """At 4 kHz no computer answers every tick; those that it answers are right, to the bit."""
     rate = ("--pacing", "realtime", "--set", "plant.rate=4000", "--set", "plant.time_step=0.00025")
     orchestrator = start("--scenario", near, "--no-report", *rate)
@@ -131,7 +127,7 @@ def test_what_was_answered_in_an_overloaded_real_time_run_can_be_recomputed(
     assert kept["late"] + kept["skipped"] > 0
 
 
-def test_run_reaches_its_goal_and_is_recorded_completely(domain: int, tmp_path: Path) -> None:
+def test_run_reaches_its_goal_and_is_recorded_completely(domain, tmp_path):
     """Exit code 0, every tick on every topic, and a summary that says what the bag says.
 
     `tactile-hand run` finds its prefix, and the law beside the scenario, in a folder with a space;
@@ -192,9 +188,7 @@ def test_run_reaches_its_goal_and_is_recorded_completely(domain: int, tmp_path: 
     assert "report: " in done.stdout
 
 
-def test_missed_goal_is_an_exit_code_also_in_a_namespace(
-    start: Start, near: Path, tmp_path: Path
-) -> None:
+def test_missed_goal_is_an_exit_code_also_in_a_namespace(start, near, tmp_path):
     """All topics are below the namespace, which ROS arguments give; here of one process."""
     tight = ["--set", "goal.position_error=1e-12", "--duration", "0.3", "--quiet", "--no-report"]
     tight.append("--composed")
@@ -215,9 +209,7 @@ def _take_terminal() -> None:
     signal.signal(signal.SIGHUP, signal.SIG_DFL)
 
 
-def test_a_closed_terminal_leaves_a_whole_bag_also_when_the_recorder_was_held_up(
-    domain: int, tmp_path: Path
-) -> None:
+def test_a_closed_terminal_leaves_a_whole_bag_also_when_the_recorder_was_held_up(domain, tmp_path):
     """SIGHUP, and nobody left to print to: every tick up to the last is there, nothing runs on.
 
     No node waits for the recorder, but what it missed is kept for it for some seconds.
@@ -254,7 +246,7 @@ def test_a_closed_terminal_leaves_a_whole_bag_also_when_the_recorder_was_held_up
     assert summary["metrics"] == run.metrics.to_dict()
 
 
-def test_ctrl_c_while_libraries_load_is_no_traceback(start: Start, tmp_path: Path) -> None:
+def test_ctrl_c_while_libraries_load_is_no_traceback(start, tmp_path):
     """The signal waits until the import is done; nothing is started."""
     orchestrator = start("--scenario", "paper")
     memory = Path(f"/proc/{orchestrator.pid}/maps")
@@ -264,8 +256,7 @@ def test_ctrl_c_while_libraries_load_is_no_traceback(start: Start, tmp_path: Pat
     assert orchestrator.stderr == "orchestrator: ended by SIGINT, before anything was started.\n"
 
 
-def test_death_of_a_node_is_named_and_ends_the_run(start: Start, tmp_path: Path) -> None:
-    """Exit code 1; what was recorded is readable and summed up."""
+def test_death_of_a_node_is_named_and_ends_the_run(start, tmp_path):
     orchestrator = start("--scenario", "paper", "--duration", "600", "--quiet")
     wait_until_running(tmp_path, orchestrator)
     processes = family(orchestrator)
@@ -294,10 +285,7 @@ def broken_prefix(folder: Path, name: str, program: str) -> dict[str, str]:
     return {"AMENT_PREFIX_PATH": f"{folder}{os.pathsep}{os.environ.get('AMENT_PREFIX_PATH', '')}"}
 
 
-def test_node_that_cannot_start_is_reported_at_once(
-    start: Start, near: Path, tmp_path: Path
-) -> None:
-    """By name, with its code and its last line; the others are ended."""
+def test_node_that_cannot_start_is_reported_at_once(start, near, tmp_path):
     program = "#!/bin/sh\necho first >&2\necho the cable is loose >&2\nexit 3\n"
     environment = broken_prefix(tmp_path / "prefix", "tactile_sensor", program)
     orchestrator = start("--scenario", near, "--startup-timeout", "80", env=environment)
@@ -307,8 +295,7 @@ def test_node_that_cannot_start_is_reported_at_once(
     assert summary_of(tmp_path)["metrics"] == {}
 
 
-def test_missing_node_is_named_with_its_topics(start: Start, near: Path, tmp_path: Path) -> None:
-    """After the deadline, with what it said last."""
+def test_missing_node_is_named_with_its_topics(start, near, tmp_path):
     program = "#!/bin/sh\necho waiting for the bus\nexec tail -f /dev/null\n"
     environment = broken_prefix(tmp_path / "prefix", "slip_regulator", program)
     orchestrator = start("--scenario", near, "--startup-timeout", "2", env=environment)

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The installations: pip into a virtual environment, colcon into a workspace; and the sdist."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import subprocess
@@ -17,19 +15,10 @@ from tactile_hand_ros.ros import processes as executables
 
 ROOT = Path(__file__).resolve().parents[2]
 PACKAGE = "tactile_hand_ros"
-EXECUTABLES = [
-    "composed",
-    "controllers",
-    "driver_output",
-    "force_optimizer",
-    "manipulation_controller",
-    "orchestrator",
-    "plant",
-    "recorder",
-    "slip_regulator",
-    "tactile_sensor",
-    "viewer",
-]
+EXECUTABLES = """
+composed controllers driver_output force_optimizer manipulation_controller orchestrator plant
+recorder slip_regulator tactile_sensor viewer
+""".split()
 # What an installation is made of, and nothing that a developer may have lying about.
 SOURCES = ("config", "launch", "resource", "scripts", PACKAGE)
 FILES = ("package.xml", "setup.py", "setup.cfg", "pyproject.toml", "LICENSE", "NOTICE", "README.md")
@@ -83,50 +72,44 @@ def source_config() -> list[Path]:
 class TestPip:
     """The environment that runs these tests, as `make test` has built it."""
 
-    def test_ament_finds_the_package(self) -> None:
+    def test_ament_finds_the_package_with_its_config_and_launch_file(self):
         prefix = Path(get_package_prefix(PACKAGE))
         share = Path(get_package_share_directory(PACKAGE))
         assert share == prefix / "share" / PACKAGE
         assert (share / "package.xml").read_bytes() == (ROOT / "package.xml").read_bytes()
-
-    def test_config_is_installed_recursively(self) -> None:
-        share = Path(get_package_share_directory(PACKAGE))
         assert installed_config(share) == source_config()
-
-    def test_a_launch_file_is_installed(self) -> None:
-        share = Path(get_package_share_directory(PACKAGE))
         assert (share / "launch" / "tactile_hand.launch.py").is_file()
 
-    def test_executables_are_those_of_the_contract(self) -> None:
+    def test_executables_are_those_of_the_contract(self):
         assert executables.executable_names() == EXECUTABLES
 
-    def test_executables_resolve_their_imports(self, tmp_path: Path) -> None:
+    def test_executables_resolve_their_imports(self, tmp_path):
         paths = [executables.executable_path(name) for name in EXECUTABLES]
         for path in paths:
             assert os.access(path, os.X_OK)
             assert path.read_text().startswith("#!/usr/bin/env python3\n")
         run(sys.executable, "-c", LOAD, *paths, cwd=tmp_path)
 
-    def test_config_is_found_without_ament(self, tmp_path: Path) -> None:
+    def test_config_is_found_without_ament(self, tmp_path):
         code = f"from {PACKAGE}.config.paths import config_directory; print(config_directory())"
         found = Path(run(sys.executable, "-c", code, cwd=tmp_path).strip())
         assert (found / "hands").is_dir()
         assert ROOT not in found.parents or Path(sys.prefix) in found.parents
 
-    def test_command_line_answers(self, tmp_path: Path) -> None:
+    def test_command_line_answers(self, tmp_path):
         assert "reproduce" in run("tactile-hand", "--help", cwd=tmp_path, COLUMNS="200")
 
     @pytest.mark.parametrize("name", ["", ".", "../tactile_hand_ros/plant"])
-    def test_executable_is_a_name_not_a_path(self, name: str) -> None:
+    def test_executable_is_a_name_not_a_path(self, name):
         with pytest.raises(executables.ExecutableError):
             executables.executable_path(name)
 
-    def test_child_process_finds_this_interpreter(self) -> None:
+    def test_child_process_finds_this_interpreter(self):
         path = executables.child_environment()["PATH"]
         assert Path(str(shutil.which("python3", path=path))).parent == Path(sys.prefix) / "bin"
 
 
-def test_a_source_distribution_has_all_files(tmp_path: Path) -> None:
+def test_a_source_distribution_has_all_files(tmp_path):
     """`python -m build` makes the wheel from it."""
     tree = copy_sources(tmp_path / "tree")
     wanted = {str(path.relative_to(tree)) for path in tree.rglob("*") if path.is_file()}
@@ -148,21 +131,17 @@ def workspace(tmp_path_factory: pytest.TempPathFactory) -> Path:
 class TestColcon:
     """The same tree in a ROS workspace."""
 
-    def test_is_an_ament_python_package(self, workspace: Path) -> None:
+    def test_it_is_a_ros_package_with_executables_config_and_manifest(self, workspace):
         listed = run("colcon", "list", cwd=workspace).split()
         assert listed == [PACKAGE, f"src/{PACKAGE}", "(ros.ament_python)"]
-
-    def test_executables_are_where_ros2_run_looks(self, workspace: Path) -> None:
         folder = workspace / "install" / PACKAGE / "lib" / PACKAGE
         runnable = sorted(path.name for path in folder.iterdir() if os.access(path, os.X_OK))
         assert runnable == sorted([*EXECUTABLES, "tactile-hand"])
-
-    def test_share_holds_config_and_manifest(self, workspace: Path) -> None:
         share = workspace / "install" / PACKAGE / "share" / PACKAGE
         assert (share / "package.xml").is_file()
         assert installed_config(share) == source_config()
 
-    def test_sourced_workspace_is_found_by_ament(self, workspace: Path) -> None:
+    def test_sourced_workspace_is_found_by_ament(self, workspace):
         code = (
             "from ament_index_python.packages import get_package_prefix as prefix;"
             f"from {PACKAGE}.config.paths import config_directory;"

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The recorder as a process of its own, over real DDS: nothing is missing from the bag."""
 
-from __future__ import annotations
-
 import signal
 import time
 from collections.abc import Callable, Iterator
@@ -13,6 +11,7 @@ import psutil
 import pytest
 from geometry_msgs.msg import WrenchStamped
 from mcap_ros2.reader import read_ros2_messages
+from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.publisher import Publisher
@@ -25,7 +24,6 @@ from std_msgs.msg import Float64
 from bench.processes import CapturedProcess, start_executable
 from tactile_hand_ros.bag.reader import read_messages, summarize
 from tactile_hand_ros.bag.recover import recover
-from tactile_hand_ros.ros.middleware import ros_context
 from tactile_hand_ros.ros.processes import wait_until
 
 DEEP = QoSProfile(depth=1000)
@@ -34,12 +32,11 @@ BOUND = 2.0  # s
 
 
 @pytest.fixture
-def node(domain: int) -> Iterator[Node]:
+def node(context: Context) -> Iterator[Node]:
     """Return a node in the reserved domain."""
-    with ros_context(domain=domain) as context:
-        node = Node("talker", context=context)
-        yield node
-        node.destroy_node()
+    node = Node("talker", context=context)
+    yield node
+    node.destroy_node()
 
 
 @pytest.fixture
@@ -89,10 +86,7 @@ def joint_state(i: int) -> JointState:
     return JointState(name=["a"] * (i % 5), position=[float(i)] * (i % 7), effort=[0.5 * i])
 
 
-def test_everything_sent_before_the_end_is_in_the_bag(
-    start: Callable[..., CapturedProcess], node: Node, tmp_path: Path
-) -> None:
-    """The signal follows the last message immediately; count, order and bytes are complete."""
+def test_everything_sent_before_the_end_is_in_the_bag(start, node, tmp_path):
     joints = node.create_publisher(JointState, "left/joint_states", DEEP)
     wrench = node.create_publisher(WrenchStamped, "left/tactile/index/wrench", DEEP)
     clock = node.create_publisher(Clock, "/clock", DEEP)
@@ -122,9 +116,7 @@ def test_everything_sent_before_the_end_is_in_the_bag(
     assert [m.ros_msg.effort[0] for m in others] == expected
 
 
-def test_killed_at_any_moment_it_loses_the_last_moment_at_most(
-    start: Callable[..., CapturedProcess], node: Node, tmp_path: Path
-) -> None:
+def test_killed_at_any_moment_it_loses_the_last_moment_at_most(start, node, tmp_path):
     """What is recovered has no gap; the bound is 0.2 s, here with room for noise.
 
     The chunks never fill: what is on the disk is there because its time had come.

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A node runs as it was asked to run where the system permits it, and says so where not."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess
@@ -13,11 +11,11 @@ from pathlib import Path
 import pytest
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from rclpy.context import Context
 from support.spinning import spinning
 
-from bench.processes import CapturedProcess, isolated_domain
+from bench.processes import CapturedProcess
 from tactile_hand_ros import names
-from tactile_hand_ros.ros.middleware import ros_context
 from tactile_hand_ros.ros.processes import executable_path, wait_until
 
 PRIORITY = 7
@@ -35,17 +33,16 @@ _TRY = f"import os; os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param({PRIO
 
 
 @pytest.fixture
-def reports() -> Iterator[list[DiagnosticStatus]]:
+def reports(context: Context) -> Iterator[list[DiagnosticStatus]]:
     """What the node says of itself."""
     heard: list[DiagnosticStatus] = []
-    with isolated_domain() as domain, ros_context(domain=domain) as context:
-        node = rclpy.create_node("listener", context=context)
-        node.create_subscription(
-            DiagnosticArray, names.DIAGNOSTICS, lambda m: heard.extend(m.status), 10
-        )
-        with spinning(node):
-            yield heard
-        node.destroy_node()
+    node = rclpy.create_node("listener", context=context)
+    node.create_subscription(
+        DiagnosticArray, names.DIAGNOSTICS, lambda m: heard.extend(m.status), 10
+    )
+    with spinning(node):
+        yield heard
+    node.destroy_node()
 
 
 def start(*words: str, permitted: bool = True) -> CapturedProcess:
@@ -69,8 +66,7 @@ def threads(pid: int) -> list[int]:
 
 
 @pytest.mark.parametrize("permitted", [True, False])
-def test_fifo_where_it_is_permitted_and_a_warning_where_not(reports, permitted: bool) -> None:
-    """Where it is refused the node works on."""
+def test_fifo_where_it_is_permitted_and_a_warning_where_not(reports, permitted):
     tried = subprocess.run([sys.executable, "-c", _TRY], capture_output=True)
     with start("--priority", str(PRIORITY), permitted=permitted) as process:
         status, facts = first(reports)

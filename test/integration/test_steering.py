@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A running hand is steered from other processes: no command is lost, refusals are answered."""
 
-from __future__ import annotations
-
 import signal
 from collections.abc import Iterator
 from pathlib import Path
@@ -45,9 +43,7 @@ def publish_once(domain: int, position: tuple[float, float, float]) -> None:
         node.destroy_node()
 
 
-def test_every_pose_arrives_and_refusals_are_answered(
-    hand: CapturedProcess, domain: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_every_pose_arrives_and_refusals_are_answered(hand, domain, tmp_path, capsys):
     """Poses of publishers that leave at once, then commands; a second run is refused meanwhile."""
     with start_executable("orchestrator", "paper", "--out", str(tmp_path / "runs")) as second:
         assert second.wait(PATIENCE) == 2 and "a run is in progress" in second.stderr

@@ -5,8 +5,6 @@ The controller is written here a second time too, from the paper's formulas with
 continuous as in the paper; so these tests cover plant, optimizer, law and the wiring of all blocks.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import pinocchio as pin
 import pytest

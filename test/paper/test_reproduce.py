@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What the paper claims, end to end in-process: where it holds, where in part, where not."""
 
-from __future__ import annotations
-
 from functools import cache
 
 import numpy as np
@@ -27,7 +25,7 @@ def outcome(key: str, layout: str = "three_faces", duration: float | None = None
 
 
 @pytest.mark.parametrize("layout", LAYOUTS)
-def test_the_desired_state_and_forces_are_reached_and_no_contact_is_lost(layout: str) -> None:
+def test_the_desired_state_and_forces_are_reached_and_no_contact_is_lost(layout):
     """Fig. 3, equation (15)."""
     run = outcome("optimal", layout)
     m = run.metrics
@@ -46,7 +44,7 @@ def test_the_desired_state_and_forces_are_reached_and_no_contact_is_lost(layout:
     [("three_faces", "nominal"), ("three_faces", "firm"), ("three_faces", "contact")]
     + [("pinch", "nominal")],
 )
-def test_the_grasp_force_does_no_work(layout: str, key: str) -> None:
+def test_the_grasp_force_does_no_work(layout, key):
     """Other W, twice k_f, or (10) for (14): other forces, the same motion to 2 um of 190 mm."""
     other = outcome(key, layout, 10.0 if key == "nominal" else 4.0).record
     one = outcome("optimal", layout).record.part(slice(len(other)))
@@ -56,7 +54,7 @@ def test_the_grasp_force_does_no_work(layout: str, key: str) -> None:
     assert np.abs(one.forces - other.forces).max() > 0.01
 
 
-def test_penalising_tangential_forces_helps_two_fingers_and_loads_the_third() -> None:
+def test_penalising_tangential_forces_helps_two_fingers_and_loads_the_third():
     """Fig. 4 in the layout three_faces: the third finger and the grasp as a whole need more."""
     penalised = outcome("optimal").metrics.final_required_friction
     nominal = outcome("nominal", "three_faces", 10.0).metrics.final_required_friction
@@ -66,7 +64,7 @@ def test_penalising_tangential_forces_helps_two_fingers_and_loads_the_third() ->
     assert max(penalised.values()) > max(nominal.values())
 
 
-def test_penalising_tangential_forces_helps_every_finger_of_a_pinch() -> None:
+def test_penalising_tangential_forces_helps_every_finger_of_a_pinch():
     """Fig. 4 in the layout pinch, by one to three percent."""
     penalised = outcome("optimal", "pinch").metrics.final_required_friction
     nominal = outcome("nominal", "pinch", 10.0).metrics.final_required_friction
@@ -74,7 +72,7 @@ def test_penalising_tangential_forces_helps_every_finger_of_a_pinch() -> None:
         assert 0.97 < beta / nominal[finger] < 0.99
 
 
-def test_squeezing_through_fingertips_rolls_and_through_contacts_does_not() -> None:
+def test_squeezing_through_fingertips_rolls_and_through_contacts_does_not():
     """Section III: the same grasp, held where it is for two seconds."""
     rolled = {
         law: derived.rolling(outcome(f"hold_{law}", duration=2.0).record).max() for law in LAWS
@@ -83,13 +81,13 @@ def test_squeezing_through_fingertips_rolls_and_through_contacts_does_not() -> N
     assert max(rolled["contact"], rolled["optimal"]) < 1e-9
 
 
-def test_kawamuras_law_loses_the_object_on_the_way() -> None:
+def test_kawamuras_law_loses_the_object_on_the_way():
     m = outcome("kawamura", duration=3.5).metrics
     assert m.contacts_lost_ticks > 0 and not m.goal_reached
     assert 2.0 < m.first_contact_loss_s < 3.5
 
 
-def test_kawamuras_law_starts_with_the_forces_of_theorem_1() -> None:
+def test_kawamuras_law_starts_with_the_forces_of_theorem_1():
     """f_n,i = d_i k_f / sum(r), before anything rolls; d_i from the tips' centroid."""
     record = outcome("kawamura", duration=3.5).record
     distances = np.array([0.1902, 0.1902, 0.1902 - 0.1902 / 3.0])
@@ -100,9 +98,7 @@ def test_kawamuras_law_starts_with_the_forces_of_theorem_1() -> None:
 @pytest.mark.parametrize(
     ("name", "at", "expected"), [("kawamura", "tips", 9.0), ("paper", "contacts", 3.0)]
 )
-def test_kawamuras_law_pulls_once_a_finger(
-    layout: str, name: str, at: str, expected: float
-) -> None:
+def test_kawamuras_law_pulls_once_a_finger(layout, name, at, expected):
     """Its translational stiffness is k times k_p, that of (14) is k_p."""
     stiffness = translational_stiffness(load_scenario(name, {"layout": layout}), at)
     np.testing.assert_allclose(stiffness, expected * np.eye(3), atol=1e-9)

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Contact problems obey Signorini's and Coulomb's laws: known ones, those of hands, and any."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Whatever a file holds, reading it ends in time, with a result or an error of this package."""
 
-from __future__ import annotations
-
 import shutil
 import time
 from collections.abc import Iterator
@@ -88,7 +86,7 @@ def write(path: Path, text: str) -> Path:
 @HOSTILE
 @given(text=yaml_like(FILES["scenario"].read_text()))
 @example(text="name: &a [ha, ha]\nplant: {object: {vertices: [" + "0.1, " * 9000 + "]}}")
-def test_scenario(folder: Path, text: str) -> None:
+def test_scenario(folder, text):
     with refused_in_time():
         scenario = load_scenario(str(write(folder / "x.yaml", text)))
         scenario.plant.object.solid()
@@ -98,7 +96,7 @@ def test_scenario(folder: Path, text: str) -> None:
 @given(text=mutated(URDF.replace('"', ' " ')) | st.text(max_size=40))
 @example(text='<robot name="a">' + "<link>" * 5000)
 @example(text="<robot/>")
-def test_urdf(folder: Path, text: str) -> None:
+def test_urdf(folder, text):
     write(folder / "paper.urdf", text)
     with refused_in_time():
         Hand.load(str(folder / "paper.yaml"))

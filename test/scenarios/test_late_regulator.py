@@ -30,9 +30,8 @@ SHORTER = {"pull": {"duration": 3.0}, "gravity": {"duration": 3.5}}
 @pytest.mark.parametrize("name", SHORTER)
 def test_commands_that_are_late_now_and_then_are_no_slip(name):
     """By 1 to 3 ticks: the jerks of the torques once raised the grasp force to its limit."""
-    runs = [(name, SHORTER[name], seed) for seed in (None, 1, 2)]
+    runs = [(name, SHORTER[name], seed) for seed in (None, 1)]
     found = Parallel(n_jobs=-1)(delayed(run_with_late_commands)(*run) for run in runs)
-    (_, in_time, _), *late = found
-    for is_held, grasp_force, slid in late:
-        assert is_held and slid < 1e-3
-        assert grasp_force <= 1.2 * in_time
+    (_, in_time, _), (is_held, grasp_force, slid) = found
+    assert is_held and slid < 1e-3
+    assert grasp_force <= 1.2 * in_time

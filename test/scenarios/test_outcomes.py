@@ -3,13 +3,13 @@
 
 import numpy as np
 import pytest
-from joblib import Parallel, delayed
-from support.outcomes import run_scenario, survival
+from support.outcomes import InParallel, can_be_held, run_scenario
 
 from studies.slip.minimum import minimum_against
 from studies.slip.study import SLIDING
 from tactile_hand_ros.config.hand_config import load_hand_config
 from tactile_hand_ros.control.contact import Contacts
+from tactile_hand_ros.control.slip.detector import ContactState
 from tactile_hand_ros.hand.urdf import finger_weight
 from tactile_hand_ros.run.derived import rotation_error
 from tactile_hand_ros.scenario.scenario import load_scenario
@@ -23,11 +23,10 @@ SCENARIOS = (
 LOST_WITHOUT = "lift slippery pull heavy user_grip".split()
 # `human_pull` is an example of the tutorial, whose test runs it.
 OF_HUMAN_SIZE = "human_hold human_lift human_turn".split()
-SURVIVABLE = {name: name != "crush_limit" for name in SCENARIOS}
 # Until the hand has come to rest after the last event; `hold` until all friction is explored.
 WITH_END = {"hold": 15.0, "pull": 7.0, "user_grip": 7.2, "shake": 6.5}
 WITH_END |= {"lost_contact": 5.5, "heavy": 5.0, "slippery": 4.5, "lift": 4.5, "crush_limit": 4.5}
-WITH_END |= {"human_hold": 6.0, "human_lift": 4.5}
+WITH_END |= {"human_hold": 6.0, "human_lift": 4.5, "human_turn": 7.0}
 # Without: until the object has gone, or as long as shows that it stays.
 WITHOUT_END = {"hold": 3.0, "gravity": 3.0, "forearm": 5.6, "pull": 2.5, "user_grip": 4.5}
 WITHOUT_END |= {"shake": 3.1, "lost_contact": 3.5, "heavy": 2.6, "slippery": 3.5, "lift": 3.0}
@@ -41,27 +40,12 @@ def changes_of(name, is_on=True):
     return changes if is_on else WITHOUT | changes
 
 
-class Records:
-    """Runs on all cores, of which each is waited for only when somebody asks for it."""
-
-    def __init__(self, cases):
-        self._found = {}
-        work = Parallel(n_jobs=-1, return_as="generator")
-        runs = (delayed(run_scenario)(name, changes_of(name, is_on)) for name, is_on in cases)
-        self._coming = zip(cases, work(runs), strict=True)
-
-    def __getitem__(self, key):
-        while key not in self._found:
-            done, record = next(self._coming)
-            self._found[done] = record
-        return self._found[key]
-
-
 @pytest.fixture(scope="session")
 def records():
     """Every scenario with slip prevention (True) and without (False)."""
     runs = [(name, True) for name in SCENARIOS + OF_HUMAN_SIZE]
-    return Records([*runs, *((name, False) for name in SCENARIOS)])
+    runs += [(name, False) for name in SCENARIOS]
+    return InParallel(run_scenario, {run: (run[0], changes_of(*run)) for run in runs})
 
 
 def slip(record):
@@ -117,8 +101,10 @@ def test_the_goal_is_reached(records, name):
 
 @pytest.mark.parametrize("name", SCENARIOS)
 def test_the_grasp_force_stays_below_the_crush_limit_and_the_object_in_the_hand(records, name):
-    record, limit = records[name, True], load_scenario(name).slip_regulator.maximum
-    assert record.grasp_force.max() <= limit
+    """Whether a grasp inside the limit can hold is computed apart, by linear programming."""
+    record, scenario = records[name, True], load_scenario(name, changes_of(name))
+    assert record.grasp_force.max() <= scenario.slip_regulator.maximum
+    assert can_be_held(record, scenario) == (name != "crush_limit")
     assert not dropped(record)
 
 
@@ -127,23 +113,18 @@ def test_without_slip_prevention_the_object_is_dropped_where_it_matters(records,
     assert dropped(records[name, False]) == (name in LOST_WITHOUT)
 
 
-@pytest.mark.parametrize("name", SCENARIOS)
-def test_what_a_grasp_inside_the_crush_limit_can_survive_is_survived(records, name):
-    """Whether it can is computed apart from the law: by linear programming on the true load."""
-    record, scenario = records[name, True], load_scenario(name, changes_of(name))
-    assert survival(record, scenario).possible == SURVIVABLE[name]
-    assert not dropped(record)
-
-
 @pytest.mark.parametrize("name", [s for s in SCENARIOS if s != "user_grip"])
 def test_in_the_end_it_is_held_little_firmer_than_it_needs(records, name):
     assert excess_force(records[name, True], name) < 2.0
 
 
-def test_the_reflex_alone_presses_little_more_than_it_needs_where_the_user_asks_for_less(records):
+def test_the_reflex_presses_little_more_than_is_needed_where_a_user_asks_for_too_little(records):
     record = records["user_grip", True]
-    asked_too_little = record.part(slice(0, int(np.searchsorted(record.times, 6.0))))
-    assert excess_force(asked_too_little, "user_grip") < 2.0
+    asked_too_little = (record.times > 4.5) & (record.times < 6.0)
+    assert record.grasp_force[asked_too_little].min() > 3.5
+    until_then = record.part(slice(0, int(np.searchsorted(record.times, 6.0))))
+    assert excess_force(until_then, "user_grip") < 2.0
+    assert record.grasp_force[-1] == pytest.approx(30.0)
 
 
 def test_without_reshaping_the_third_finger_slips_when_shaken(records):
@@ -171,6 +152,8 @@ def test_with_slip_prevention_it_is_held_more_gently(records):
     """Where the user's grasp force is more than enough, the object needs a fraction of it."""
     with_, without = records["gravity", True], records["gravity", False]
     assert with_.grasp_force[-1] < 0.95 * without.grasp_force[-1]
+    # There is no false alarm while the object is moved with a noisy skin.
+    assert (with_.grip[100:] == ContactState.STICK).all()
 
 
 def test_a_lost_contact_is_held_safely_and_comes_back(records):
@@ -179,6 +162,7 @@ def test_a_lost_contact_is_held_safely_and_comes_back(records):
     assert lost.any() and not lost[-1000:].any()
     # While it is lost the controller holds, and says nothing of the object's pose.
     assert np.isnan(record.auxiliary_position[lost & np.roll(lost, 1)]).all()
+    assert np.isfinite(record.auxiliary_position[-1]).all() and np.isfinite(record.command).all()
     assert slip(record) < 0.01
     assert final_errors(record)[0] < 0.01
 
@@ -187,13 +171,6 @@ def test_human_hold_ends_near_the_minimum_that_holds(records):
     record, scenario = records["human_hold", True], load_scenario("human_hold")
     minimum = ready_force(record, scenario, np.zeros(3))
     assert 1.0 < record.grasp_force[-200:].mean() / minimum < 1.6
-
-
-def test_the_reflex_stays_above_a_user_who_asks_for_too_little(records):
-    record = records["user_grip", True]
-    asked_too_little = (record.times > 4.5) & (record.times < 6.0)
-    assert record.grasp_force[asked_too_little].min() > 3.5
-    assert record.grasp_force[-1] == pytest.approx(30.0)
 
 
 def test_friction_is_learned_from_a_slip(records):

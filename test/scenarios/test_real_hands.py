@@ -2,10 +2,10 @@
 """Hands that exist hold a cube under a pull, and those that can move and turn it first."""
 
 import pytest
-from joblib import Parallel, delayed
-from support.outcomes import simulated
+from support.outcomes import InParallel
 
 from tactile_hand_ros.errors import PoseError
+from tactile_hand_ros.front_door import simulate
 from tactile_hand_ros.scenario.preflight import check_scenario
 from tactile_hand_ros.scenario.scenario import load_scenario
 
@@ -14,8 +14,7 @@ HANDS = "allegro shadow dex3 ability panda".split()
 
 @pytest.fixture(scope="module")
 def results():
-    work = Parallel(n_jobs=-1)
-    return dict(zip(HANDS, work(delayed(simulated)(name) for name in HANDS), strict=True))
+    return InParallel(simulate, {name: (name,) for name in HANDS})
 
 
 @pytest.mark.parametrize("name", HANDS)

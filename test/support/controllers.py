@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A controller to test with, and its input for the paper's grasp at rest."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
@@ -73,6 +71,11 @@ class Bench:
     def centroid(self) -> Array:
         """Mean of the contact points, shape (3,), m."""
         return self.contacts.centroid
+
+    @property
+    def shift(self) -> Array:
+        """How far the present target is from the centroid, shape (3,), m."""
+        return self.controller.targets.target.position - self.centroid
 
     def target(self, *shift: float, turn: tuple[float, ...] = (0.0, 0.0, 0.0)) -> Target:
         """Return a pose away from the centroid, and rotated from the palm axes."""

@@ -4,8 +4,6 @@
 Plain NumPy, without the package; docs/reference/equations.md names the code that runs.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Slow, independent solvers for the problems that the core solves fast."""
 
-from __future__ import annotations
-
 from itertools import combinations
 
 import numpy as np

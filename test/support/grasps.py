@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Grasps to test with: the paper's two layouts and random ones."""
 
-from __future__ import annotations
-
 import numpy as np
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
@@ -23,6 +21,12 @@ def contacts_at(points: Array, normals: Array) -> Contacts:
     normals = np.asarray(normals, dtype=float)
     normals = normals / np.linalg.norm(normals, axis=1)[:, None]
     return Contacts(np.asarray(points, dtype=float), np.array([contact_frame(n) for n in normals]))
+
+
+LOPSIDED = contacts_at(
+    [[0.06, 0.01, 0.02], [-0.04, 0.03, -0.01], [0.01, -0.07, 0.03], [0.0, 0.02, -0.05]],
+    [[-1.0, 0.1, 0.3], [0.8, -0.5, 0.2], [0.1, 1.0, -0.4], [0.2, 0.1, 1.0]],
+)
 
 
 def moved(contacts: Contacts, rotation: Array, shift: Array) -> Contacts:

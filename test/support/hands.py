@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Hands of any size as URDF and YAML, and objects that fit them."""
 
-from __future__ import annotations
-
 import math
 from collections import Counter
 from collections.abc import Sequence
@@ -15,18 +13,12 @@ import yaml
 from numpy.typing import NDArray
 
 from tactile_hand_ros.control.reach import inverse_kinematics
-from tactile_hand_ros.errors import TactileHandError
 from tactile_hand_ros.hand.hand import Hand
 
 Array = NDArray[np.float64]
 
 _BENT = (1.0, 0.0, 1.2, 0.6, 0.1, 0.1)  # angles of a finger's joints that bend it inwards, rad
 LINK = 0.3  # half the total length of a finger's links, m
-_NEAR = 1e-4  # tolerance of a fingertip's position, m
-
-
-class HandSizeError(TactileHandError):
-    """A hand whose fingers do not reach the object."""
 
 
 def _link(name: str, length: float) -> str:
@@ -105,11 +97,7 @@ def write_hand(
 
 
 def posture_for(hand: Hand, tips: Array) -> Array:
-    """Return joint angles that bring the tips of a `write_hand` hand to `tips`, shape (k, 3), m.
-
-    Raises:
-        HandSizeError: If they do not reach.
-    """
+    """Return joint angles that bring the tips of a `write_hand` hand to `tips`, shape (k, 3), m."""
     counts = Counter(name.split("_")[0] for name in hand.joint_names)
     bent = [
         (_BENT[0], _BENT[2]) if counts[finger] == 2 else _BENT[: counts[finger]]
@@ -117,11 +105,7 @@ def posture_for(hand: Hand, tips: Array) -> Array:
     ]
     start = np.concatenate(bent)
     theta, missing = inverse_kinematics(hand, tips, start)
-    if missing.max() >= _NEAR:
-        raise HandSizeError(
-            f"the fingertips stay {missing} m short of their places, expected less than {_NEAR} m;"
-            " place the object nearer"
-        )
+    assert missing.max() < 1e-4, f"the fingertips stay {missing} m short of their places"
     return theta
 
 

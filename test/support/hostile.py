@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The message readers that tests attack with hostile bytes, and the number of attempts."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any, NamedTuple
 

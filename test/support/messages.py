@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Messages built field by field with ROS, independent of the package's codecs."""
 
-from __future__ import annotations
-
 import numpy as np
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import Point, Pose, PoseArray, PoseStamped, Quaternion, WrenchStamped

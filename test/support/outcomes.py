@@ -1,15 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """Run scenarios in-process, in worker processes that can import this module."""
 
-from dataclasses import dataclass
+from collections.abc import Callable, Hashable
+from typing import Any
 
 import numpy as np
+from joblib import Parallel, delayed
 
 from studies.slip.minimum import minimum_at
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
 from tactile_hand_ros.closed_loop.record import Record
-from tactile_hand_ros.front_door import simulate
-from tactile_hand_ros.report.page import Result
 from tactile_hand_ros.scenario.scenario import Scenario, load_scenario
 
 _STEP = 0.05  # s between checked instants, besides the starts of loads
@@ -20,47 +20,39 @@ def run_scenario(name: str, changes: dict) -> Record:
     return ClosedLoop(load_scenario(name, changes)).run()
 
 
-def simulated(name: str) -> Result:
-    """Return the result of a scenario of the package."""
-    return simulate(name)
+class InParallel:
+    """Answers of a function on all cores, each of which is waited for only when it is wanted."""
+
+    def __init__(self, function: Callable[..., Any], cases: dict[Any, tuple[Any, ...]]) -> None:
+        """Start the calls; `cases` gives the arguments by a key."""
+        self._found: dict[Hashable, Any] = {}
+        work = Parallel(n_jobs=-1, return_as="generator")
+        self._coming = zip(cases, work(delayed(function)(*c) for c in cases.values()), strict=True)
+
+    def __getitem__(self, key: Hashable) -> Any:
+        """Return the answer to a case."""
+        while key not in self._found:
+            done, answer = next(self._coming)
+            self._found[done] = answer
+        return self._found[key]
 
 
-@dataclass(frozen=True)
-class Survival:
-    """Whether the object can be held at all.
+def can_be_held(record: Record, scenario: Scenario) -> bool:
+    """Return whether a grasp inside the crush limit can carry every load of a run.
 
-    Attributes:
-        worst: Largest required grasp force, the minimum sum of normal forces, N.
-        time: Its time, s.
-        limit: The crush limit, N.
-    """
-
-    worst: float
-    time: float
-    limit: float
-
-    @property
-    def possible(self) -> bool:
-        """Whether a grasp inside the crush limit can carry every load of the run."""
-        return self.worst <= self.limit
-
-
-def survival(record: Record, scenario: Scenario) -> Survival:
-    """Return the worst instant of a run: true load and friction, and the contacts of the grasp.
-
-    After a lost contact, the last complete grasp counts, because the question is whether it had to
-    be lost. Only the true contacts and the object's pose of `record` are used.
+    With true load and friction at the contacts of the grasp. After a lost contact, the last
+    complete grasp counts, because the question is whether it had to be lost. Only the true contacts
+    and the object's pose of `record` are used.
     """
     whole = np.isfinite(record.true_positions[:, :, 0]).all(axis=1)
     grasps = np.maximum.accumulate(np.where(whole, np.arange(len(record)), 0))
     starts = [d.start for d in scenario.plant.disturbances]
     starts += [c.start for c in scenario.plant.friction_changes]
     times = np.union1d(np.arange(0.0, scenario.duration, _STEP), np.array(starts) + 1e-6)
-    worst, when = 0.0, 0.0
     for time in times[times <= scenario.duration]:
         row = min(int(np.searchsorted(record.times, time)), len(record) - 1)
         # For a sudden event, the grasp before it.
         least = minimum_at(record, scenario, float(time), int(grasps[max(row - 1, 0)]))
-        if least > worst:
-            worst, when = least, float(time)
-    return Survival(worst, when, scenario.slip_regulator.maximum)
+        if least > scenario.slip_regulator.maximum:
+            return False
+    return True

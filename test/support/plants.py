@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Plants to test with, and torques that produce given contact forces."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

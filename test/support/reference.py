@@ -13,8 +13,6 @@ The constraint is not stabilized: the tolerance of the Dormand-Prince 8(5,3) met
 at the level of rounding errors, which the tests check.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 

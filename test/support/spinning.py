@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Nodes that are served in parallel with the test."""
 
-from __future__ import annotations
-
 import contextlib
 import threading
 from collections.abc import Iterator

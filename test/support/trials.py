@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Runs of studies in tests, importable by their workers."""
 
-from __future__ import annotations
-
 import os
 import signal
 from typing import Any

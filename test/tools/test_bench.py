@@ -1,10 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """`make bench`: what it measures, saves and refuses; measured runs are real runs."""
 
-from __future__ import annotations
-
 import json
-from pathlib import Path
 
 import pytest
 
@@ -17,7 +14,7 @@ from bench.written import written_calls
 from tactile_hand_ros.scenario.scenario import NODES, load_scenario
 
 
-def test_the_table_is_printed_and_saved(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_table_is_printed_and_saved(tmp_path, capsys):
     out = tmp_path / "results" / "bench.json"
     assert main(["--only", "blocks", "--ticks", "20", "--repeats", "1", "--out", str(out)]) == 0
     assert "controller, one tick" in capsys.readouterr().out
@@ -35,15 +32,13 @@ def test_the_table_is_printed_and_saved(tmp_path: Path, capsys: pytest.CaptureFi
         (["--seconds", "0"], "--seconds"),
     ],
 )
-def test_what_cannot_be_measured_is_refused(
-    words: list[str], reason: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_what_cannot_be_measured_is_refused(words, reason, capsys):
     assert main(["--only", "blocks", *words]) == 2
     printed = capsys.readouterr()
     assert reason in printed.err and "Traceback" not in printed.err and printed.out == ""
 
 
-def test_a_result_is_judged_by_its_median() -> None:
+def test_a_result_is_judged_by_its_median():
     samples = [1.0, 2.0, 9.0]
     assert Measurement("", "", samples).verdict == ""
     assert Measurement("", "", samples, maximum=2.0).verdict == "pass"
@@ -51,32 +46,31 @@ def test_a_result_is_judged_by_its_median() -> None:
     assert Measurement("", "", [float("nan")], maximum=2.0).verdict == "fail"
 
 
-def test_a_short_composed_run_is_measured() -> None:
+def test_a_short_composed_run_is_measured():
     run = run_graph(0.2, "--composed")
     assert run["recording"]["ticks_per_second"] > 0.0 and run["wall_s"] > 0.2
     assert run["start_to_first_tick_s"] > 0.0
 
 
-def test_a_run_that_is_refused_is_an_error_with_its_reason() -> None:
+def test_a_run_that_is_refused_is_an_error_with_its_reason():
     with pytest.raises(BenchError, match="no_such"):
         run_graph(0.2, "--set", "plant.no_such=1")
 
 
-def test_ticks_go_round_by_messages_alone() -> None:
-    """Between two processes, and among the nodes of each."""
+def test_ticks_go_round_by_messages_alone():
     assert rate((",".join(NODES[:2]), ",".join(NODES[2:])), 20, recorded=False) > 0.0
 
 
-def test_the_wire_carries_what_a_tick_does() -> None:
+def test_the_wire_carries_what_a_tick_does():
     wiring = each_tick()
     assert (len(wiring), sum(len(link.subscribers) for link in wiring)) == (23, 17)
 
 
-def test_the_in_process_loop_can_write_a_bag() -> None:
+def test_the_in_process_loop_can_write_a_bag():
     assert written_calls(load_scenario("paper"), 20) > 0.0
 
 
-def test_a_bare_loop_counts_every_tick_once() -> None:
+def test_a_bare_loop_counts_every_tick_once():
     ticks, missed = wake_at_each_tick(1000.0, 0.2)
     assert 200 <= ticks <= 201 + missed
     assert 0.0 <= missed_by_bare_loop(200.0, 0.2) <= 1.0

@@ -1,10 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The fault campaign and the fuzzing of nodes, on real nodes, each for some seconds."""
 
-from __future__ import annotations
-
-from pathlib import Path
-
 import numpy as np
 
 from studies.faults.campaign import run_campaign
@@ -15,7 +11,7 @@ from tactile_hand_ros.sweep.table import read_table
 DEATHS = (("sensor", "stopped"), ("regulator", "off"))
 
 
-def test_a_session_of_the_campaign_keeps_the_object(tmp_path: Path) -> None:
+def test_a_session_of_the_campaign_keeps_the_object(tmp_path):
     run_campaign([Injection("lockstep", "at rest", *fault, 1) for fault in DEATHS], tmp_path)
     found = read_table(tmp_path)
     assert found["reason"].tolist() == ["", ""] and set(found["outcome"]) == {"reached"}
@@ -23,7 +19,7 @@ def test_a_session_of_the_campaign_keeps_the_object(tmp_path: Path) -> None:
     assert (found["moved"] < 0.003).all() and (found["peak"] < 1.2 * found["limit"]).all()
 
 
-def test_running_nodes_survive_hostile_bytes(tmp_path: Path) -> None:
+def test_running_nodes_survive_hostile_bytes(tmp_path):
     report = fuzz_nodes(4.0, 3, tmp_path)
     assert report.finding == "" and report.inputs > 0
     assert report.growth < 100 * 2**20

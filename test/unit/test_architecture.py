@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The layers are separate: control has no ROS and no simulation, recordings need no rclpy."""
 
-from __future__ import annotations
-
 import ast
 import re
 from pathlib import Path
@@ -99,7 +97,7 @@ def reachable(start: str) -> set[str]:
     return found
 
 
-def test_a_layer_imports_only_what_lies_below() -> None:
+def test_a_layer_imports_only_what_lies_below():
     wrong = []
     for name, used in GRAPH.items():
         for other in used & set(GRAPH):
@@ -108,14 +106,14 @@ def test_a_layer_imports_only_what_lies_below() -> None:
     assert wrong == []
 
 
-def test_no_module_imports_itself_by_way_of_others() -> None:
+def test_no_module_imports_itself_by_way_of_others():
     for start in GRAPH:
         assert not {name for name in GRAPH[start] if name.split(".")[0] in ("bench", "studies")}
         direct = {name for name in GRAPH[start] if name in GRAPH and name != start}
         assert not any(start in reachable(name) for name in direct), start
 
 
-def test_plain_code_knows_neither_ros_nor_a_clock() -> None:
+def test_plain_code_knows_neither_ros_nor_a_clock():
     foreign = re.compile(r"(rcl\w*|\w+_(msgs|srvs|interfaces)|ament_index_python|time|datetime)\b")
     wrong = {
         name: ros
@@ -125,7 +123,7 @@ def test_plain_code_knows_neither_ros_nor_a_clock() -> None:
     assert wrong == {}
 
 
-def test_recordings_are_read_without_rclpy() -> None:
+def test_recordings_are_read_without_rclpy():
     """Bags are analyzed on machines without ROS."""
     for name in GRAPH:
         if layer(name) in {"bag", "run", "verify", "report"}:
@@ -133,7 +131,7 @@ def test_recordings_are_read_without_rclpy() -> None:
             assert not {used for used in loaded if used.split(".")[0] == "rclpy"}, name
 
 
-def test_controllers_do_not_see_the_ground_truth() -> None:
+def test_controllers_do_not_see_the_ground_truth():
     for name in GRAPH:
         if layer(name) in BLIND or name.startswith(
             tuple(f"{PACKAGE}.nodes.{n}" for n in BLIND_NODES)
@@ -156,7 +154,7 @@ FORBIDDEN = re.compile(
 )
 
 
-def test_files_have_a_license_and_neither_leftovers_nor_skips_nor_paths_of_a_machine() -> None:
+def test_files_have_a_license_and_neither_leftovers_nor_skips_nor_paths_of_a_machine():
     wrong = []
     for path in WRITTEN:
         text = path.read_text()

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Decoding a whole topic at once equals a general decoder message by message."""
 
-from __future__ import annotations
-
 import struct
 from typing import Any
 
@@ -33,7 +31,7 @@ def cdr(content: Any, little: bool = True) -> bytes:
     st.lists(st.tuples(stamps, names, st.lists(st.floats(-1e6, 1e6), min_size=3, max_size=3))),
     st.booleans(),
 )
-def test_wrenches(given: list[tuple[int, str, list[float]]], little: bool) -> None:
+def test_wrenches(given, little):
     """With any frame names: their lengths shift the numbers."""
     messages = [cdr(recorded.wrench(stamp, force, frame), little) for stamp, frame, force in given]
     seen = 0
@@ -49,8 +47,7 @@ def test_wrenches(given: list[tuple[int, str, list[float]]], little: bool) -> No
 
 @settings(max_examples=50)
 @given(st.lists(names, max_size=4), st.booleans(), st.booleans(), st.booleans())
-def test_joint_states(joints: list[str], position: bool, velocity: bool, effort: bool) -> None:
-    """Any of the three fields may be empty."""
+def test_joint_states(joints, position, velocity, effort):
     values = np.arange(1.0, len(joints) + 1.0)
     present = {"position": position, "velocity": velocity, "effort": effort}
     fields = {name: values * 10.0 for name, there in present.items() if there}
@@ -61,7 +58,7 @@ def test_joint_states(joints: list[str], position: bool, velocity: bool, effort:
         assert table.doubles(name).tolist() == [expected, expected]
 
 
-def test_messages_with_other_strings_of_the_same_length_are_kept_apart() -> None:
+def test_messages_with_other_strings_of_the_same_length_are_kept_apart():
     first = recorded.joints(1, ["a", "b"], position=[1.0, 2.0])
     other = recorded.joints(2, ["b", "a"], position=[3.0, 4.0])
     found = list(tables(JOINTS, [cdr(m) for m in (first, other, first)]))
@@ -71,7 +68,7 @@ def test_messages_with_other_strings_of_the_same_length_are_kept_apart() -> None
     ]
 
 
-def test_either_order_of_bytes_may_come_and_the_options_of_an_encoding_do_not_matter() -> None:
+def test_either_order_of_bytes_may_come_and_the_options_of_an_encoding_do_not_matter():
     content = recorded.wrench(3, (1.0, 2.0, 3.0), "abcd")
     small, large = cdr(content), cdr(content, little=False)
     other = small[:2] + b"\7\7" + small[4:]
@@ -82,7 +79,7 @@ def test_either_order_of_bytes_may_come_and_the_options_of_an_encoding_do_not_ma
         assert table.doubles("wrench")[:, :3].tolist() == [[1.0, 2.0, 3.0]] * len(table.rows)
 
 
-def test_arrays_of_poses_may_change_their_length() -> None:
+def test_arrays_of_poses_may_change_their_length():
     point, turn = (1.0, 2.0, 3.0), (0.0, 0.0, 0.0, 1.0)
     messages = [cdr(recorded.pose_array(0, [point] * k, [turn] * k)) for k in (0, 2, 1)]
     found = {int(t.rows[0]): t.doubles("poses").tolist() for t in tables(POSES, messages)}
@@ -90,13 +87,13 @@ def test_arrays_of_poses_may_change_their_length() -> None:
 
 
 @pytest.mark.parametrize("size", [0, 3, 8, 15, 30, -1])
-def test_truncated_message(size: int) -> None:
+def test_truncated_message(size):
     message = cdr(recorded.joints(1, ["a", "b"], position=[1.0, 2.0]))
     with pytest.raises(BagError, match="not a valid sensor_msgs/msg/JointState"):
         list(tables(JOINTS, [message[:size]]))
 
 
-def test_length_beyond_the_end() -> None:
+def test_length_beyond_the_end():
     message = bytearray(cdr(recorded.joints(1, ["a"], position=[1.0])))
     message[20:24] = struct.pack("<I", 2**32 - 1)
     with pytest.raises(BagError, match="announced"):
@@ -104,7 +101,7 @@ def test_length_beyond_the_end() -> None:
 
 
 @pytest.mark.parametrize("encoding", ["0007", "0002", "0100", "0101"])
-def test_foreign_encoding(encoding: str) -> None:
+def test_foreign_encoding(encoding):
     message = bytes.fromhex(encoding) + cdr(recorded.wrench(1, (1.0, 2.0, 3.0)))[2:]
     with pytest.raises(BagError, match=f"encoding {encoding}"):
         list(tables(WRENCH, [message]))

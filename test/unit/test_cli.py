@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The command line: output, rejected input, and exit codes."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess
@@ -11,7 +9,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from ament_index_python.packages import get_package_prefix
 from support.hands import write_hand
 from support.recorded import random_record, write_record
 
@@ -21,7 +18,7 @@ from tactile_hand_ros.command_line import run_command
 from tactile_hand_ros.config.paths import scenario_names
 from tactile_hand_ros.hand.hand import Hand
 from tactile_hand_ros.report.hand import example_posture
-from tactile_hand_ros.ros.processes import executable_path, wait_until
+from tactile_hand_ros.ros.processes import wait_until
 from tactile_hand_ros.scenario.scenario import load_scenario, resolved
 
 COMMAND = [sys.executable, "-m", "tactile_hand_ros.cli"]
@@ -47,8 +44,7 @@ def refused(capsys: pytest.CaptureFixture[str], *arguments: str | Path) -> str:
 
 
 @pytest.mark.parametrize("words", [["--help"], ["run", "--help"]])
-def test_help_loads_nothing_heavy(words: list[str]) -> None:
-    """Help must appear immediately."""
+def test_help_loads_nothing_heavy(words):
     loading = f"import sys, tactile_hand_ros.cli as c; c.main({words});"
     code = f"{loading} print(*sys.modules, file=sys.stderr)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
@@ -57,23 +53,7 @@ def test_help_loads_nothing_heavy(words: list[str]) -> None:
     assert not loaded & {"numpy", "matplotlib", "pinocchio", "rclpy", "joblib", "rosbags"}
 
 
-def test_own_prefix_is_found_without_a_setup_file(tmp_path: Path) -> None:
-    code = (
-        "from tactile_hand_ros.config.paths import use_own_prefix as u; u(); u();"
-        "from tactile_hand_ros.ros.processes import executable_path as e; print(e('plant'));"
-        "from ament_index_python import get_package_prefix as p; print(p('sensor_msgs'))"
-    )
-    unset = {key: text for key, text in os.environ.items() if key != "AMENT_PREFIX_PATH"}
-    done = subprocess.run(
-        [sys.executable, "-c", code], cwd=tmp_path, env=unset, capture_output=True, text=True
-    )
-    found = done.stdout
-    assert found.splitlines() == [str(executable_path("plant")), get_package_prefix("sensor_msgs")]
-
-
-def test_a_hand_is_printed_with_its_couplings_and_strength_and_drawn(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_hand_is_printed_with_its_couplings_and_strength_and_drawn(tmp_path, capsys):
     coupling = {"joint": "f1_joint_3", "ratio": 0.7, "offset": 0.1}
     path = write_hand(tmp_path, [4, 3, 3], couplings={"f1_joint_4": coupling})
     assert main(["hand", str(path), "--out", str(tmp_path)]) == 0
@@ -98,9 +78,7 @@ def broken_palm(path: Path) -> Path:
     return path
 
 
-def test_all_scenarios_are_listed_and_one_is_shown(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_all_scenarios_are_listed_and_one_is_shown(tmp_path, capsys):
     assert main(["scenarios"]) == 0
     printed = capsys.readouterr().out
     assert all(load_scenario(name).description in printed for name in scenario_names())
@@ -110,16 +88,14 @@ def test_all_scenarios_are_listed_and_one_is_shown(
     assert load_scenario(str(file)) == load_scenario("pull")
 
 
-def test_summary(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_summary(run, capsys):
     assert main(["summary", str(run)]) == 0
     printed = capsys.readouterr().out
     for text in ("paper", "20 ticks", "f_n of finger_2", "not reached", "complete"):
         assert text in printed
 
 
-def test_a_summary_of_a_hand_that_is_elsewhere_lacks_its_assumptions(
-    run: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_summary_of_a_hand_that_is_elsewhere_lacks_its_assumptions(run, capsys):
     text = (run / "scenario.yaml").read_text()
     (run / "scenario.yaml").write_text(text.replace("hand: paper", "hand: ~nobody-here/hand.yaml"))
     assert main(["summary", str(run)]) == 0
@@ -129,8 +105,7 @@ def test_a_summary_of_a_hand_that_is_elsewhere_lacks_its_assumptions(
     assert "20 ticks" in printed.out and "held" not in printed.out
 
 
-def test_recover(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """The error names a command that creates a readable bag."""
+def test_recover(run, capsys):
     file = run / "bag" / "bag_0.mcap"
     assert main(["recover", str(run), "--out", str(run / "copy")]) == 0
     assert capsys.readouterr().out.endswith("nothing is lost\n")
@@ -143,7 +118,7 @@ def test_recover(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert "exists already" in refused(capsys, "recover", run)
 
 
-def test_unknown_names(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_unknown_names(run, capsys):
     assert "did you mean 'paper'" in refused(capsys, "show", "papr")
     assert "no hand in the namespace 'left'" in refused(capsys, "summary", run, "--namespace=left")
     out = f"--out={run / 'x'}"
@@ -151,7 +126,7 @@ def test_unknown_names(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert "--duration: duration is nan" in refused(capsys, "reproduce", "--duration=nan", out)
 
 
-def test_wrong_usage(capsys: pytest.CaptureFixture[str]) -> None:
+def test_wrong_usage(capsys):
     assert "No such command 'frobnicate'" in refused(capsys, "frobnicate")
     assert "Missing argument" in refused(capsys, "show")
     assert "Did you mean 'run'" in refused(capsys, "rum")
@@ -160,7 +135,7 @@ def test_wrong_usage(capsys: pytest.CaptureFixture[str]) -> None:
     assert "expected 1 or more processes" in refused(capsys, "reproduce", "--jobs", "0")
 
 
-def test_run_refuses_what_contradicts_itself(capsys: pytest.CaptureFixture[str]) -> None:
+def test_run_refuses_what_contradicts_itself(capsys):
     assert "given twice" in refused(capsys, "run", "paper", "--scenario", "pull")
     assert "the scenario is ''" in refused(capsys, "run", "")
 
@@ -176,9 +151,7 @@ def test_run_refuses_what_contradicts_itself(capsys: pytest.CaptureFixture[str])
         (["move", "0", "0", "0", "--rotation", "0", "-1", "nan"], "nan is not a finite number"),
     ],
 )
-def test_steering_takes_any_number_and_refuses_what_is_none(
-    words: list[str], said: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_steering_takes_any_number_and_refuses_what_is_none(words, said, capsys):
     with isolated_domain():
         assert said in refused(capsys, *words, "--timeout", "0.1")
 
@@ -197,14 +170,12 @@ def without_hand(**changes: str | None) -> tuple[int, str]:
     return done.returncode, done.stderr
 
 
-def test_a_middleware_that_is_missing_is_one_sentence() -> None:
+def test_a_middleware_that_is_missing_is_one_sentence():
     code, errors = without_hand(RMW_IMPLEMENTATION="rmw_none_cpp")
     assert code == 2 and "which is not installed here" in errors and errors.count("\n") == 1
 
 
-def test_an_rclpy_that_cannot_be_loaded_is_one_sentence(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_an_rclpy_that_cannot_be_loaded_is_one_sentence(capsys):
     def load() -> None:
         raise ImportError("No module named 'rclpy._rclpy_pybind11'", name="rclpy._rclpy_pybind11")
 
@@ -213,9 +184,7 @@ def test_an_rclpy_that_cannot_be_loaded_is_one_sentence(
     assert "has this shell sourced another ROS" in said and said.count("\n") == 1
 
 
-def test_reproduce_writes_figures_and_report(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_reproduce_writes_figures_and_report(tmp_path, capsys):
     """A tenth of a second is no experiment, as the verdict reports."""
     arguments = ["--layout", "pinch", "--duration", "0.1", "--jobs", "1"]
     assert main(["reproduce", "--out", str(tmp_path), *arguments]) == 0
@@ -228,7 +197,7 @@ def test_reproduce_writes_figures_and_report(
     assert all(name in report for name in figures) and "| does not hold |" in report
 
 
-def test_interrupted_reproduction_leaves_nothing(tmp_path: Path) -> None:
+def test_interrupted_reproduction_leaves_nothing(tmp_path):
     """Ctrl-C reaches the whole group; neither a process nor a traceback remains."""
     command = [*COMMAND, "reproduce", "--out", str(tmp_path / "out")]
     with CapturedProcess(command) as process:
@@ -250,6 +219,6 @@ def is_alive(pid: int) -> bool:
         return False
 
 
-def test_a_command_starts_without_a_home() -> None:
+def test_a_command_starts_without_a_home():
     code, errors = without_hand(HOME=None)
     assert code == 2 and "no hand is running" in errors and errors.count("\n") == 1

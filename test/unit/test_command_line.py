@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Every command ends with one sentence and the matching exit code."""
 
-from __future__ import annotations
-
 import errno
 import io
 import os
@@ -25,7 +23,7 @@ def failing(error: BaseException) -> Callable[[], Any]:
     return command
 
 
-def test_what_a_command_returns_is_its_code_if_it_is_a_number() -> None:
+def test_what_a_command_returns_is_its_code_if_it_is_a_number():
     codes = [run_command("program", lambda a=answer: a) for answer in (None, "text", 0, 3, True)]
     assert codes == [0, 0, 0, 3, 1]
 
@@ -40,14 +38,12 @@ def test_what_a_command_returns_is_its_code_if_it_is_a_number() -> None:
         (KeyboardInterrupt(), 130, "interrupted."),
     ],
 )
-def test_an_error_is_one_sentence(
-    error: BaseException, code: int, sentence: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_an_error_is_one_sentence(error, code, sentence, capsys):
     assert run_command("program", failing(error)) == code
     assert capsys.readouterr() == ("", f"program: {sentence}\n")
 
 
-def test_a_defect_is_not_hidden() -> None:
+def test_a_defect_is_not_hidden():
     with pytest.raises(ZeroDivisionError):
         run_command("program", failing(ZeroDivisionError()))
 
@@ -62,8 +58,8 @@ def test_a_defect_is_not_hidden() -> None:
     ],
 )
 def test_a_signal_ends_a_command_in_order_while_it_runs_and_only_then(
-    number: signal.Signals, usual: Any, sentence: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+    number, usual, sentence, capsys
+):
     was_ended = []
 
     def command() -> None:
@@ -72,25 +68,19 @@ def test_a_signal_ends_a_command_in_order_while_it_runs_and_only_then(
         finally:
             was_ended.append(True)
 
-    before = signal.getsignal(number)
     signal.signal(number, usual)
-    try:
-        assert run_command("program", command) == 128 + number
-        assert was_ended and capsys.readouterr().err == sentence
-        assert signal.getsignal(number) is usual
-        signal.signal(number, signal.SIG_IGN)
-        assert run_command("program", lambda: signal.raise_signal(number)) == 0
-        assert signal.getsignal(number) is signal.SIG_IGN
-        signal.signal(number, usual)
-        assert run_command("program", lambda: signal.signal(number, signal.SIG_IGN)) == 0
-        assert signal.getsignal(number) is signal.SIG_IGN  # the command's own setting stays
-    finally:
-        signal.signal(number, before)
+    assert run_command("program", command) == 128 + number
+    assert was_ended and capsys.readouterr().err == sentence
+    assert signal.getsignal(number) is usual
+    signal.signal(number, signal.SIG_IGN)
+    assert run_command("program", lambda: signal.raise_signal(number)) == 0
+    assert signal.getsignal(number) is signal.SIG_IGN
+    signal.signal(number, usual)
+    assert run_command("program", lambda: signal.signal(number, signal.SIG_IGN)) == 0
+    assert signal.getsignal(number) is signal.SIG_IGN  # the command's own setting stays
 
 
-def test_without_an_output_a_command_is_not_begun(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_without_an_output_a_command_is_not_begun(monkeypatch, capsys):
     monkeypatch.setattr(sys, "stdout", None)
     assert run_command("program", failing(ZeroDivisionError())) == 2
     assert "the standard output is closed" in capsys.readouterr().err
@@ -121,13 +111,8 @@ class Full(io.StringIO):
 )
 @pytest.mark.parametrize("is_refused", [False, True])
 def test_output_that_cannot_be_written_is_dropped(
-    error: OSError,
-    code: int,
-    is_refused: bool,
-    tmp_path: Any,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+    error, code, is_refused, tmp_path, monkeypatch, capsys
+):
     """The buffer is written at the end, and the interpreter must not try it again."""
     with (tmp_path / "file").open("w") as file:
         monkeypatch.setattr(sys, "stdout", Full(file, error))
@@ -141,9 +126,7 @@ def test_output_that_cannot_be_written_is_dropped(
 
 
 @pytest.mark.parametrize("name", ["stdout", "stderr"])
-def test_letters_that_the_terminal_lacks_are_written_as_escapes(
-    name: str, tmp_path: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_letters_that_the_terminal_lacks_are_written_as_escapes(name, tmp_path, monkeypatch):
     file = tmp_path / "file"
     with file.open("w", encoding="ascii") as stream:
         monkeypatch.setattr(sys, name, stream)
@@ -152,7 +135,7 @@ def test_letters_that_the_terminal_lacks_are_written_as_escapes(
 
 
 @pytest.mark.usefixtures("hangups_count")
-def test_a_signal_gives_its_code_also_where_what_was_printed_cannot_be_written() -> None:
+def test_a_signal_gives_its_code_also_where_what_was_printed_cannot_be_written():
     """Python itself would exit with 120."""
     program = """
 import os, signal, sys

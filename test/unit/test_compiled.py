@@ -1,12 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Compiled functions match the present sources, and a damaged cache is repaired."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import subprocess
 import sys
+from itertools import product
 from pathlib import Path
 
 import pytest
@@ -61,9 +60,7 @@ def run(control: Path, code: str, **environment: str) -> tuple[str, str]:
     return result.stdout.strip(), result.stderr.strip()
 
 
-def test_a_change_in_a_called_file_is_seen_also_where_the_user_wants_the_cache(
-    control: Path, tmp_path: Path
-) -> None:
+def test_a_change_in_a_called_file_is_seen_also_where_the_user_wants_the_cache(control, tmp_path):
     """Numba alone would keep the old inner function inside the cached outer one."""
     mine = {"NUMBA_CACHE_DIR": str(tmp_path / "mine")}
     assert run(control, CALL, **mine) == ("20.0", "")
@@ -73,7 +70,7 @@ def test_a_change_in_a_called_file_is_seen_also_where_the_user_wants_the_cache(
     assert run(control, CALL, **mine) == ("30.0", "")
 
 
-def test_a_change_elsewhere_leaves_what_is_compiled_as_it_is(control: Path) -> None:
+def test_a_change_elsewhere_leaves_what_is_compiled_as_it_is(control):
     (control / "other.py").write_text(INNER.format(constant=5.0))
     run(control, CALL)
     kept = {path: path.stat().st_mtime_ns for path in control.parent.rglob("*.nb?")}
@@ -82,22 +79,21 @@ def test_a_change_elsewhere_leaves_what_is_compiled_as_it_is(control: Path) -> N
     assert kept and kept == {p: p.stat().st_mtime_ns for p in control.parent.rglob("*.nb?")}
 
 
-def test_the_same_source_runs_without_numba(control: Path) -> None:
+def test_the_same_source_runs_without_numba(control):
     assert run(control, CALL, TACTILE_HAND_INTERPRETED="1") == ("20.0", "")
     assert not list(control.parent.rglob("*.nbi"))
 
 
-@pytest.mark.parametrize("kind", ["*.nbi", "*.nbc"])
-@pytest.mark.parametrize("damage", [b"", b"not what Numba wrote"])
-def test_damaged_files_are_compiled_again(control: Path, kind: str, damage: bytes) -> None:
+def test_damaged_files_are_compiled_again(control):
     assert run(control, CALL) == ("20.0", "")
-    files = list(control.parent.rglob(kind))
-    for file in files:
-        file.write_bytes(damage)
-    assert files and run(control, CALL) == ("20.0", "")
+    for kind, damage in product(("*.nbi", "*.nbc"), (b"", b"not what Numba wrote")):
+        files = list(control.parent.rglob(kind))
+        for file in files:
+            file.write_bytes(damage)
+        assert files and run(control, CALL) == ("20.0", "")
 
 
-def test_it_is_complete_after_a_warm_up_of_these_sources(control: Path) -> None:
+def test_it_is_complete_after_a_warm_up_of_these_sources(control):
     ask = "from tactile_hand_ros.compiled import *; print(is_complete())"
     assert run(control, ask)[0] == "False"
     run(control, "from tactile_hand_ros.compiled import *; mark_complete()")
@@ -129,7 +125,7 @@ print(np.array(out).tobytes().hex())
 """
 
 
-def test_slip_and_friction_are_the_same_numbers_without_numba(tmp_path: Path) -> None:
+def test_slip_and_friction_are_the_same_numbers_without_numba(tmp_path):
     """To the bit: the readable source is the reference for its compiled version."""
     both = [
         subprocess.Popen(
@@ -159,7 +155,7 @@ print(loaded > 30, {x.__name__: dict(x.stats.cache_misses) for x in ours if x.st
 """
 
 
-def test_after_the_warm_up_nothing_is_compiled_again(tmp_path: Path) -> None:
+def test_after_the_warm_up_nothing_is_compiled_again(tmp_path):
     done = [
         subprocess.run(
             [sys.executable, "-c", COVERED],
@@ -174,14 +170,12 @@ def test_after_the_warm_up_nothing_is_compiled_again(tmp_path: Path) -> None:
     assert done[1].stdout.split(maxsplit=1) == ["True", "{}\n"]
 
 
-def test_without_a_place_for_the_cache_it_is_compiled_in_each_process(control: Path) -> None:
+def test_without_a_place_for_the_cache_it_is_compiled_in_each_process(control):
     nowhere = {"NUMBA_CACHE_DIR": "/proc/nowhere"}
     assert run(control, CALL, **nowhere) == ("20.0", "")
 
 
-def test_waiting_for_the_compiler_can_be_given_up(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_waiting_for_the_compiler_can_be_given_up(monkeypatch, capsys):
     """A Ctrl-C meanwhile is answered immediately, and the compiler ends."""
     monkeypatch.setattr(module, "is_complete", lambda: False)
     waits: list[float] = []

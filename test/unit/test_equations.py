@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """docs/reference/equations.md names existing code that names its equation."""
 
-from __future__ import annotations
-
 import importlib
 import re
 from pathlib import Path
@@ -50,18 +48,18 @@ def resolve(name: str) -> Any:
     raise ModuleNotFoundError(name)
 
 
-def test_every_equation_has_a_home() -> None:
+def test_every_equation_has_a_home():
     named = {row[0] for row in EQUATIONS}
     assert {f"({number})" for number in range(1, 16)} | {"R_pov", "r_d", "beta"} <= named
 
 
 @pytest.mark.parametrize("row", EQUATIONS, ids=lambda row: f"{row[0]} {row[2]}")
-def test_the_named_code_exists_and_names_its_equation(row: list[str]) -> None:
+def test_the_named_code_exists_and_names_its_equation(row):
     equation, _, name = row
     assert equation in resolve(name.strip("`")).__doc__
 
 
-def test_no_other_code_writes_the_grasp_map_or_the_hand_jacobian_again() -> None:
+def test_no_other_code_writes_the_grasp_map_or_the_hand_jacobian_again():
     """They would contain skew matrices or cross products of many vectors."""
     allowed = {f"{row[0].strip('`').replace('.', '/')}.py" for row in table("module")}
     allowed |= {"report/scene.py", "simulation/solid.py", "simulation/palm_motion.py"}  # mechanics

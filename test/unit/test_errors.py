@@ -24,7 +24,7 @@ def test_a_missing_library_is_named_and_what_it_lacks_itself_is_not_hidden(tmp_p
         optional("broken_lib", "A figure")
 
 
-def test_no_text_is_long_or_has_more_than_one_line() -> None:
+def test_no_text_is_long_or_has_more_than_one_line():
     assert shortened("a \n b\t c") == "a b c"
     assert shortened("x" * 300) == "x" * 300
     assert shortened("x" * 301) == "x" * 297 + "..."

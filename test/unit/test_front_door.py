@@ -1,34 +1,35 @@
 # SPDX-License-Identifier: Apache-2.0
 """The package's public names are few, documented, and free until first use."""
 
-from __future__ import annotations
-
+import doctest
+import importlib
 import subprocess
 import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
+from support.recorded import write_record
 
 import tactile_hand_ros
-from tactile_hand_ros import Metrics, Run, simulate, sweep
+from tactile_hand_ros import Metrics, Run, simulate
 from tactile_hand_ros.control.laws import OptimalLaw
 from tactile_hand_ros.errors import ConfigurationError
 from tactile_hand_ros.report.page import Result
 
 
 @pytest.mark.parametrize("name", tactile_hand_ros.__all__)
-def test_a_public_name_can_be_loaded_and_is_documented(name: str) -> None:
+def test_a_public_name_can_be_loaded_and_is_documented(name):
     assert getattr(tactile_hand_ros, name).__doc__
     assert name in dir(tactile_hand_ros) and name in vars(tactile_hand_ros)
 
 
-def test_an_unknown_name_is_an_attribute_error() -> None:
+def test_an_unknown_name_is_an_attribute_error():
     with pytest.raises(AttributeError, match="has no attribute 'Foot'"):
         tactile_hand_ros.Foot
 
 
-def test_importing_the_package_loads_nothing_else(tmp_path: Path) -> None:
+def test_importing_the_package_loads_nothing_else(tmp_path):
     code = "import sys, tactile_hand_ros; print(*sys.modules)"
     done = subprocess.run(
         [sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=True
@@ -48,7 +49,7 @@ class Firmer(OptimalLaw):
         return 1.5 * super().internal_torque()
 
 
-def test_a_simulation_has_what_a_recorded_run_has(tmp_path: Path) -> None:
+def test_a_simulation_has_what_a_recorded_run_has(tmp_path):
     result = simulate("paper", SHORT)
     assert isinstance(result, Result) and issubclass(Run, Result)
     assert len(result.record) == 51 and isinstance(result.metrics, Metrics)
@@ -57,7 +58,7 @@ def test_a_simulation_has_what_a_recorded_run_has(tmp_path: Path) -> None:
     assert result.report(tmp_path) == tmp_path / "report.html"
 
 
-def test_a_law_is_given_as_a_class_or_by_name() -> None:
+def test_a_law_is_given_as_a_class_or_by_name():
     plain, own = simulate("paper", SHORT), simulate("paper", SHORT, law=Firmer)
     assert not np.array_equal(plain.record.command, own.record.command)
     assert own.scenario is not None
@@ -68,8 +69,12 @@ def test_a_law_is_given_as_a_class_or_by_name() -> None:
         simulate("paper", SHORT, law=int)
 
 
-def test_a_sweep_returns_its_table(tmp_path: Path) -> None:
-    over = ["plant.object.mass=0.01..0.02"]
-    results = sweep.run("paper", over, SHORT, folder=tmp_path / "masses", runs=2, jobs=1)
-    masses = results.column("plant.object.mass")
-    assert len(masses) == 2 and 0.01 <= masses.min() < masses.max() <= 0.02
+WITH_EXAMPLES = ("front_door", "sweep", "run.run", "run.metrics", "control.laws")
+
+
+def test_the_examples_in_docstrings_give_their_results(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    write_record(Path("runs/latest/bag"), simulate("paper", SHORT).record)
+    for name in WITH_EXAMPLES:
+        found = doctest.testmod(importlib.import_module(f"tactile_hand_ros.{name}"))
+        assert found.attempted and not found.failed, name

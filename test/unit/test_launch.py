@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The launch file, with stand-ins for launch and launch_ros, which have no wheels."""
 
-from __future__ import annotations
-
 import runpy
 import sys
 import tempfile
@@ -53,7 +51,7 @@ def _stand_ins(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
 
 
-def test_a_launch_starts_the_nodes_with_the_parameters_of_a_scenario() -> None:
+def test_a_launch_starts_the_nodes_with_the_parameters_of_a_scenario():
     found = launched(scenario="human_hold", namespace="left")
     assert [node["executable"] for node in found] == ["plant", "tactile_sensor", *CONTROLLERS]
     assert {node["executable"] for node in found} <= set(executable_names())
@@ -65,10 +63,10 @@ def test_a_launch_starts_the_nodes_with_the_parameters_of_a_scenario() -> None:
         assert content["ros__parameters"].get("duration", 0.0) == 0.0
 
 
-def test_drivers_may_replace_the_simulation() -> None:
+def test_drivers_may_replace_the_simulation():
     assert [node["executable"] for node in launched(simulation="false")] == CONTROLLERS
 
 
-def test_an_unknown_scenario_is_refused() -> None:
+def test_an_unknown_scenario_is_refused():
     with pytest.raises(ConfigurationError, match="no-such"):
         launched(scenario="no-such")

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """An executable loads only the libraries that it needs, because seven start at the same time."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys
@@ -69,9 +67,7 @@ def loaded() -> Callable[[str], set[str]]:
 
 
 @pytest.mark.parametrize("name", UNNEEDED)
-def test_an_executable_loads_only_what_it_needs(
-    name: str, loaded: Callable[[str], set[str]]
-) -> None:
+def test_an_executable_loads_only_what_it_needs(name, loaded):
     found = loaded(name)
     assert "rclpy" in found and "tactile_hand_ros.config.model" in found
     assert not found & UNNEEDED[name]
@@ -95,7 +91,7 @@ sys.exit(run_node(Witness, ["witness"]))
 """
 
 
-def test_a_node_that_runs_collects_garbage_but_not_among_what_was_loaded() -> None:
+def test_a_node_that_runs_collects_garbage_but_not_among_what_was_loaded():
     """The executables switch the collector off while they load."""
     with isolated_domain() as domain:
         environment = {**os.environ, "ROS_DOMAIN_ID": str(domain)}

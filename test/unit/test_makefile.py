@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The Makefile in unusual places, and the output of the set-up while pip works."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import subprocess
@@ -44,12 +42,12 @@ def make(tree: Path, *words: str) -> subprocess.CompletedProcess[str]:
 
 
 @pytest.mark.parametrize("name", ["paper", "it's.yaml", "my runs/a b.yaml", 'say "x".yaml'])
-def test_any_name_of_a_scenario_arrives_whole(tree: Path, name: str) -> None:
+def test_any_name_of_a_scenario_arrives_whole(tree, name):
     done = make(tree, "run", f"SCENARIO={name}", "ARGS=--duration 3")
     assert done.stdout == f"<run><{name}><--duration><3>", done.stderr
 
 
-def test_a_python_that_is_named_later_makes_the_environment_again(tree: Path) -> None:
+def test_a_python_that_is_named_later_makes_the_environment_again(tree):
     (tree / ".venv" / ".python").write_text("python3\n")
     assert make(tree, "demo", "PYTHON=python3").stdout == "<run><paper>"
     done = make(tree, "demo", "PYTHON=no-such-python")
@@ -59,6 +57,6 @@ def test_a_python_that_is_named_later_makes_the_environment_again(tree: Path) ->
 @pytest.mark.parametrize(
     ("words", "command"), [(["bench"], "bench --help"), (["study", "NAME=slip"], "slip --help")]
 )
-def test_tools_run_beside_the_package(tree: Path, words: list[str], command: str) -> None:
+def test_tools_run_beside_the_package(tree, words, command):
     done = make(tree, "--dry-run", *words, "ARGS=--help")
     assert command in done.stdout, done.stderr

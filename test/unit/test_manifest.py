@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """package.xml, setup.py, the requirements and the imports agree."""
 
-from __future__ import annotations
-
 import ast
 import sys
 import xml.etree.ElementTree as ElementTree
@@ -58,20 +56,20 @@ def python_keys() -> dict[str, str]:
     }
 
 
-def test_versions_agree() -> None:
+def test_versions_agree():
     stated = MANIFEST.findtext("version")
     assert version("tactile_hand_ros") == stated
     assert tactile_hand_ros.__version__ == stated
     assert yaml.safe_load((ROOT / "CITATION.cff").read_text())["version"] == stated
 
 
-def test_the_hosted_workflow_runs_make_test_and_nothing_else() -> None:
+def test_the_hosted_workflow_runs_make_test_and_nothing_else():
     workflow = yaml.safe_load((ROOT / ".github/workflows/ci.yml").read_text())
     [job] = workflow["jobs"].values()
     assert [step["run"] for step in job["steps"] if "run" in step] == ["make test"]
 
 
-def test_everything_required_reaches_a_ros_workspace() -> None:
+def test_everything_required_reaches_a_ros_workspace():
     from_rosdep = set(python_keys().values())
     from_pip = set(requirements("jazzy.txt"))
     needed = {canonicalize_name(each.name) for each in declared()}
@@ -79,7 +77,7 @@ def test_everything_required_reaches_a_ros_workspace() -> None:
     assert needed - from_rosdep - from_pip - tested_with == set()
 
 
-def test_pins_lie_in_the_declared_ranges() -> None:
+def test_pins_lie_in_the_declared_ranges():
     pinned = requirements("run.txt") | requirements("dev.txt") | STUDIES
     for each in declared():
         pin = next(iter(pinned[canonicalize_name(each.name)].specifier)).version
@@ -100,7 +98,7 @@ def locked(name: str) -> dict[str, list[Requirement]]:
 
 
 @pytest.mark.parametrize("name", "ros run dev studies docs hands".split())
-def test_pins_are_locked_with_their_hashes(name: str) -> None:
+def test_pins_are_locked_with_their_hashes(name):
     name = f"{name}.txt"
     files = [path.name for path in (ROOT / "requirements/locked").iterdir()]
     everything = {key: each for file in files for key, each in locked(file).items()}
@@ -110,14 +108,14 @@ def test_pins_are_locked_with_their_hashes(name: str) -> None:
         )
 
 
-def test_jazzy_pins_are_those_of_run() -> None:
+def test_jazzy_pins_are_those_of_run():
     run = requirements("run.txt")
     for name, each in requirements("jazzy.txt").items():
         if name != "typer":
             assert each.specifier == run[name].specifier
 
 
-def test_a_ros_workspace_gets_a_typer_that_can_read_the_commands() -> None:
+def test_a_ros_workspace_gets_a_typer_that_can_read_the_commands():
     """Ubuntu 24.04 has 0.9; `float | None` needs 0.12.4. The lower bound is the declared one."""
     [declared_typer] = [each for each in declared() if each.name == "typer"]
     wanted = requirements("jazzy.txt")["typer"].specifier
@@ -141,7 +139,7 @@ def imported_modules() -> set[str]:
 
 # tf2_msgs is optional and never required; llvmlite comes with Numba.
 @pytest.mark.parametrize("module", sorted(imported_modules() - {"tf2_msgs", "llvmlite"}))
-def test_import_is_declared(module: str) -> None:
+def test_import_is_declared(module):
     distribution = canonicalize_name(MODULE_TO_DISTRIBUTION.get(module, module))
     names = {canonicalize_name(each.name) for each in declared()}
     assert module in EXEC_DEPENDS or distribution in names, f"declare {module} in package.xml"

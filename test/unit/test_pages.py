@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The documentation's examples work as described, and its commands and options exist."""
 
-from __future__ import annotations
-
 import glob
 import importlib.util
 import os
@@ -13,6 +11,7 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
 from typing import Any
@@ -63,6 +62,18 @@ def _each_run_is_made_once() -> Iterator[None]:
         yield
 
 
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Path, Future[Any]]]:
+    """Start to build the site, and return its folder; the tests of pages run meanwhile."""
+    folder = tmp_path_factory.mktemp("docs")
+    shutil.copy(ROOT / "mkdocs.yml", folder)
+    shutil.copytree(ROOT / "docs", folder / "docs")
+    command = [Path(sys.executable).with_name("zensical"), "build", "--strict"]
+    options = {"cwd": folder, "env": {**os.environ, "PYTHONPATH": "docs"}, "text": True}
+    with ThreadPoolExecutor() as pool:
+        yield folder, pool.submit(subprocess.run, command, capture_output=True, **options)
+
+
 def page(name: str) -> str:
     return (ROOT / name).read_text("utf-8")
 
@@ -85,10 +96,8 @@ def check_agreement(redrawn: str, text: str) -> None:
     assert not stale, f"run `make docs-figures`:\n{stale}"
 
 
-def test_the_tutorial_shows_what_its_commands_print(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """All runs of the page, and all its other commands on their output."""
+@pytest.mark.usefixtures("site")
+def test_the_tutorial_shows_what_its_commands_print(tmp_path, monkeypatch):
     text = page("docs/tutorials/getting-started.md")
 
     def keep(words: str, scenario: Scenario, record: Record) -> None:
@@ -114,7 +123,7 @@ def test_the_tutorial_shows_what_its_commands_print(
     assert (tmp_path / "runs" / "latest" / "report.html").is_file()
 
 
-def test_the_scenarios_page_shows_what_its_commands_print() -> None:
+def test_the_scenarios_page_shows_what_its_commands_print():
     text = page("docs/how-to/scenarios.md")
     check_agreement(tool.redrawn(text), text)
     assert "\ngoal reached" in text
@@ -133,7 +142,7 @@ def own_hand(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return folder
 
 
-def test_the_page_about_ones_own_hand_shows_what_its_commands_print() -> None:
+def test_the_page_about_ones_own_hand_shows_what_its_commands_print():
     text = page("docs/tutorials/your-own-hand.md")
     kept: list[Record] = []
     check_agreement(tool.redrawn(text, lambda *run: kept.append(run[2])), text)
@@ -142,7 +151,7 @@ def test_the_page_about_ones_own_hand_shows_what_its_commands_print() -> None:
     assert set(re.findall(r'"([\w.]+)"', names)) <= set(columns(kept[0]))
 
 
-def test_a_gripper_is_rejected_with_the_words_of_the_page(own_hand: Path) -> None:
+def test_a_gripper_is_rejected_with_the_words_of_the_page(own_hand):
     hand = own_hand / "my_hand.yaml"
     hand.write_text(re.sub(r".*name: middle.*\n", "", hand.read_text()))
     words = "should have at least 3 items"
@@ -151,7 +160,7 @@ def test_a_gripper_is_rejected_with_the_words_of_the_page(own_hand: Path) -> Non
         ClosedLoop(load_scenario("my/hold.yaml"))
 
 
-def test_fingers_of_two_joints_are_rejected_with_the_words_of_the_page(own_hand: Path) -> None:
+def test_fingers_of_two_joints_are_rejected_with_the_words_of_the_page(own_hand):
     urdf = own_hand / "my_hand.urdf"
     urdf.write_text(
         urdf.read_text().replace('_abduction" type="revolute"', '_abduction" type="fixed"')
@@ -163,9 +172,7 @@ def test_fingers_of_two_joints_are_rejected_with_the_words_of_the_page(own_hand:
         ClosedLoop(load_scenario("my/hold.yaml", changes))
 
 
-def test_a_bag_is_read_as_its_page_says(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_bag_is_read_as_its_page_says(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     record = ClosedLoop(load_scenario("paper", parse_changes(["duration=0.6"]))).run()
     write_record(tmp_path / "runs" / "latest" / "bag", record.part(_SHORT))
@@ -173,7 +180,7 @@ def test_a_bag_is_read_as_its_page_says(
     assert len(capsys.readouterr().out.splitlines()) == 60
 
 
-def test_a_stale_number_in_a_page_is_noticed() -> None:
+def test_a_stale_number_in_a_page_is_noticed():
     text = "│ longest slip │ 0.12 mm │ < 1 mm │ pass │"
     check_agreement(text.replace("0.12", "0.15"), text)
     for old, new in (("0.12", "0.25"), ("pass", "fail")):
@@ -182,9 +189,7 @@ def test_a_stale_number_in_a_page_is_noticed() -> None:
 
 
 @pytest.mark.parametrize("name", ["README.md", "docs/how-to/scenarios.md", "docs/how-to/sweeps.md"])
-def test_the_python_of_a_page_runs(
-    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_python_of_a_page_runs(name, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     exec(fenced(page(name), "python").replace("runs=4", "runs=1, jobs=1"), {})
     printed = capsys.readouterr().out
@@ -219,7 +224,7 @@ def fenced(text: str, kind: str) -> str:
     return found.group(1)
 
 
-def test_a_hand_of_ones_own_is_tried_by_the_command_of_its_page(real_hand: str) -> None:
+def test_a_hand_of_ones_own_is_tried_by_the_command_of_its_page(real_hand):
     [option] = re.findall(r"--set (hand=\S+) …`", real_hand)
     wide = 0.2604 + 2.0 * (0.06 - 0.012)  # m; its tips are smaller than those of the paper
     changes = parse_changes([option, f"plant.object.size=[{wide}, {wide}, {wide}]", "duration=0.1"])
@@ -228,7 +233,7 @@ def test_a_hand_of_ones_own_is_tried_by_the_command_of_its_page(real_hand: str) 
     assert np.isfinite(record.true_positions).all()
 
 
-def test_the_drivers_loop_of_the_page_holds_the_joints(real_hand: str) -> None:
+def test_the_drivers_loop_of_the_page_holds_the_joints(real_hand):
     """Its code as printed, for ten ticks without a command."""
     ticks = iter(range(10))
     applied: list[Any] = []
@@ -253,7 +258,7 @@ def test_the_drivers_loop_of_the_page_holds_the_joints(real_hand: str) -> None:
     assert (applied[-1] != 0.0).any() and told[-1].endswith("; the joints are held")
 
 
-def test_the_files_that_pages_name_exist() -> None:
+def test_the_files_that_pages_name_exist():
     folders = [ROOT / name for name in ("tactile_hand_ros", "test", "bench", "studies", "docs")]
     there = [f"/{path.relative_to(ROOT)}" for folder in folders for path in folder.rglob("*.py")]
     for path in TEXTS:
@@ -261,14 +266,8 @@ def test_the_files_that_pages_name_exist() -> None:
             assert any(file.endswith(f"/{name}") for file in there), f"{path.name}: {name}"
 
 
-def anchors(text: str) -> set[str]:
-    """Return the anchors of a page's headings, as created by GitHub and the site."""
-    titles = re.findall(r"^#+ (.+)$", re.sub(r"^```.*?^```", "", text, flags=re.M | re.S), re.M)
-    return {re.sub(r"[^\w -]", "", title.lower()).strip().replace(" ", "-") for title in titles}
-
-
 @pytest.mark.parametrize("name", ["README.md", "CONTRIBUTING.md", "SECURITY.md"])
-def test_links_into_the_tree_lead_somewhere(name: str) -> None:
+def test_links_into_the_tree_lead_somewhere(name):
     """Links between pages of the site are checked when it is built."""
     for link in re.findall(r"\]\((?!https?:)([^)\s]+)\)", page(name)):
         file, _, anchor = link.partition("#")
@@ -279,19 +278,10 @@ def test_links_into_the_tree_lead_somewhere(name: str) -> None:
             assert anchor in [title.lower().replace(" ", "-") for title in titles], link
 
 
-def test_the_site_builds_without_warnings_and_needs_no_network(tmp_path: Path) -> None:
-    shutil.copy(ROOT / "mkdocs.yml", tmp_path)
-    shutil.copytree(ROOT / "docs", tmp_path / "docs")
-    zensical = Path(sys.executable).with_name("zensical")
-    built = subprocess.run(
-        [zensical, "build", "--strict"],
-        cwd=tmp_path,
-        env={**os.environ, "PYTHONPATH": "docs"},
-        capture_output=True,
-        text=True,
-    )
+def test_the_site_builds_without_warnings_and_needs_no_network(site):
+    built = site[1].result()
     assert built.returncode == 0 and "No issues found" in built.stderr, built.stdout + built.stderr
-    pages = {path.stem: path.read_text("utf-8") for path in (tmp_path / "site").rglob("*.html")}
+    pages = {path.stem: path.read_text("utf-8") for path in (site[0] / "site").rglob("*.html")}
     for name, text in pages.items():
         assert not re.search(r"<(?:script|link|img)[^>]*(?:src|href)=.?https?:", text), name
     assert "<math" in pages["overview"] and "front_door.simulate" in pages["api"]
@@ -310,7 +300,7 @@ def commands() -> list[tuple[str, str]]:
 
 
 @pytest.mark.parametrize(("name", "line"), sorted(set(commands())))
-def test_commands_and_options_in_the_texts_exist(name: str, line: str) -> None:
+def test_commands_and_options_in_the_texts_exist(name, line):
     command: Any = typer.main.get_command(app)
     words = re.findall(r"[^\s,;:]+", line)
     while hasattr(command, "commands"):

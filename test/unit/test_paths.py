@@ -1,19 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
 """A tick takes a short path: few modules between its messages and the answer."""
 
-from __future__ import annotations
-
 import inspect
 import re
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 from types import FrameType
 from typing import Any
 
 import numpy as np
 import pytest
-from support.nodes import Process, facts, process
+from support.nodes import facts
 
 import tactile_hand_ros
 from tactile_hand_ros import names
@@ -29,12 +26,6 @@ ANSWERS = (names.JOINT_COMMAND, names.GRASP_FORCE)
 TICK = 2_000_000
 STEADY = 5
 """Ticks after which no code path is new."""
-
-
-@pytest.fixture
-def here() -> Iterator[Process]:
-    with process() as made:
-        yield made
 
 
 def messages_of(node: Any, stamp: int) -> dict[str, bytes]:
@@ -106,14 +97,9 @@ def drawn(heading: str) -> set[str]:
 
 @pytest.mark.parametrize(
     ("kind", "maximum", "heading"),
-    [
-        (ManipulationControllerNode, 14, "A tick, from"),
-        (SlipRegulatorNode, 12, "A slip, from"),
-    ],
+    [(ManipulationControllerNode, 14, "A tick, from"), (SlipRegulatorNode, 12, "A slip, from")],
 )
-def test_a_tick_passes_through_few_modules_and_all_are_drawn(
-    here: Process, kind: Any, maximum: int, heading: str
-) -> None:
+def test_a_tick_passes_through_few_modules_and_all_are_drawn(here, kind, maximum, heading):
     node = kind(context=here.context)
     found = modules_of_a_tick(node)
     node.destroy_node()

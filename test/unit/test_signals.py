@@ -1,15 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """Signals at the worst moment of a wait."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator
 
 import pytest
 
@@ -43,19 +40,14 @@ print(woken)
 
 
 @pytest.fixture
-def signals() -> Iterator[Signals]:
+def signals(hangups_count: None) -> Signals:
     """Return signals that are installed for the duration of the test."""
-    watched = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-    before = {number: signal.getsignal(number) for number in watched}
-    signal.signal(signal.SIGHUP, signal.SIG_DFL)
     installed = Signals()
     installed.install()
-    yield installed
-    for number, handler in before.items():
-        signal.signal(number, handler)
+    return installed
 
 
-def test_a_wait_without_a_signal_lasts_as_long_as_it_should(signals: Signals) -> None:
+def test_a_wait_without_a_signal_lasts_as_long_as_it_should(signals):
     for _ in range(2):
         start = time.monotonic()
         signals.wait(0.01)
@@ -64,7 +56,7 @@ def test_a_wait_without_a_signal_lasts_as_long_as_it_should(signals: Signals) ->
     assert (signals.number, signals.name) == (0, "")
 
 
-def test_a_wait_ends_with_the_signal_and_the_first_one_counts(signals: Signals) -> None:
+def test_a_wait_ends_with_the_signal_and_the_first_one_counts(signals):
     sender = threading.Timer(0.01, os.kill, (os.getpid(), signal.SIGTERM))
     sender.start()
     with pytest.raises(Interrupted, match="ended by SIGTERM"):
@@ -77,7 +69,7 @@ def test_a_wait_ends_with_the_signal_and_the_first_one_counts(signals: Signals) 
     assert (signals.number, signals.exit_code) == (signal.SIGTERM, 143)
 
 
-def test_a_hangup_that_is_ignored_stays_so(signals: Signals) -> None:
+def test_a_hangup_that_is_ignored_stays_so(signals):
     """As for nohup; an ignored SIGINT is handled all the same, because it ends a run."""
     signal.signal(signal.SIGHUP, signal.SIG_IGN)
     signal.signal(signal.SIGINT, signal.SIG_IGN)
@@ -88,7 +80,7 @@ def test_a_hangup_that_is_ignored_stays_so(signals: Signals) -> None:
         signals.check()
 
 
-def test_signals_at_any_moment_of_a_wait_do_not_lock_it() -> None:
+def test_signals_at_any_moment_of_a_wait_do_not_lock_it():
     """A handler may run between any two steps of the wait, so shared state must tolerate it."""
     result = subprocess.run(
         [sys.executable, "-c", FLOOD], capture_output=True, text=True, timeout=60.0

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The page's script in the package is built from the source next to it."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import re
@@ -31,13 +29,13 @@ def digest() -> str:
 
 
 @pytest.mark.parametrize("name", ["viewer.js", "viewer.css"])
-def test_is_built_from_this_source(name: str) -> None:
+def test_is_built_from_this_source(name):
     stated = re.search(r"source sha256 ([0-9a-f]{64})", bundle(name)[:400])
     assert stated, f"{name} does not say what it was built from"
     assert stated.group(1) == digest(), "run `npm ci && npm run build` in viewer/ and commit"
 
 
-def test_keeps_the_licences_of_what_it_contains() -> None:
+def test_keeps_the_licences_of_what_it_contains():
     text = bundle("viewer.js")
     for name in ("three", "uplot"):
         assert f"{name} {PACKAGE['dependencies'][name]}" in text

@@ -1,13 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """A campaign gets its answers from nodes that have just been started again."""
 
-from __future__ import annotations
-
 from concurrent.futures import ThreadPoolExecutor
-from pathlib import Path
 from typing import Any
 
-import pytest
 from rclpy.node import Node
 from std_srvs.srv import Trigger
 from support.spinning import spinning
@@ -19,9 +15,7 @@ from tactile_hand_ros.ros.processes import wait_until
 from tactile_hand_ros.scenario.scenario import load_scenario
 
 
-def test_a_request_that_a_dead_server_took_with_it_is_sent_again(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_request_that_a_dead_server_took_with_it_is_sent_again(tmp_path, monkeypatch):
     monkeypatch.setattr(module, "_AGAIN", 0.05)
     hand = module.RunningHand(load_scenario("paper"), tmp_path, composed=False)
 

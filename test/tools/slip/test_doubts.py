@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Slip prevention is blind to touch that the controller doubts: true touch is never doubted."""
 
-from __future__ import annotations
-
 import pytest
 
 from studies.slip.study import EVENTS, SlipCase, sample_cases, scenario_of
@@ -13,7 +11,7 @@ LATE = [case for case in sample_cases(60, 3) if case.latency > 0.008 and case.ra
 
 
 @pytest.mark.parametrize("event", EVENTS)
-def test_a_late_and_slow_skin_is_believed_when_the_object_begins_to_slip(event: str) -> None:
+def test_a_late_and_slow_skin_is_believed_when_the_object_begins_to_slip(event):
     case: SlipCase = next(case for case in LATE if case.event == event)
     loop = ClosedLoop(scenario_of(case))
     record = Record.empty(

@@ -4,14 +4,7 @@
 import numpy as np
 import pytest
 
-from studies.slip.loads import (
-    LoadCase,
-    rows,
-    run_load,
-    sample_loads,
-    study_of,
-    trade_offs,
-)
+from studies.slip.loads import LoadCase, rows, run_load, sample_loads, study_of, trade_offs
 from tactile_hand_ros.errors import TactileHandError
 from tactile_hand_ros.sweep.table import keep, read_table
 

@@ -1,20 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
 """A bag records the versions of the software that wrote it."""
 
-from __future__ import annotations
-
 import platform
 from importlib import metadata
 
 import numpy as np
-import pytest
 
 import tactile_hand_ros
 from tactile_hand_ros.bag import provenance as module
 from tactile_hand_ros.bag.provenance import provenance, versions
 
 
-def test_package_python_distribution_and_libraries(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_package_python_distribution_and_libraries(monkeypatch):
     monkeypatch.setenv("ROS_DISTRO", "kilted")
     found = versions()
     assert found["tactile_hand_ros"] == tactile_hand_ros.__version__
@@ -24,11 +21,11 @@ def test_package_python_distribution_and_libraries(monkeypatch: pytest.MonkeyPat
     assert versions()["ros_distro"] == "jazzy"
 
 
-def test_a_library_that_leaves_no_metadata_is_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_library_that_leaves_no_metadata_is_left_out(monkeypatch):
     monkeypatch.setattr(module, "_LIBRARIES", ("no_such_library", "numpy"))
     assert [*versions()][-1] == "numpy" and "no_such_library" not in versions()
 
 
-def test_the_scenario_is_there_if_there_was_one() -> None:
+def test_the_scenario_is_there_if_there_was_one():
     assert provenance("name: x") == {"scenario": "name: x"} | provenance("")
     assert provenance("")["version_numpy"] == np.__version__ and "scenario" not in provenance("")

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Reading selects topics and times, and reports the defects of a broken bag."""
 
-from __future__ import annotations
-
 import struct
 from pathlib import Path
 
@@ -30,27 +28,22 @@ def bag(tmp_path: Path) -> Path:
     return folder
 
 
-def test_topics_can_be_chosen(bag: Path) -> None:
-    """One topic, none, an absent one, all."""
+def test_topics_can_be_chosen(bag):
     assert [m.log_time for m in read_messages(bag, ["/odd"])] == list(range(1, 20, 2))
     assert list(read_messages(bag, [])) == []
     assert list(read_messages(bag, ["/absent"])) == []
     assert len(list(read_messages(bag))) == 20
-
-
-def test_messages_are_decoded(bag: Path) -> None:
     assert next(read_messages(bag, {"/even"})).message.data == struct.unpack("<d", FLOAT[4:])[0]
 
 
-def test_summary(bag: Path) -> None:
-    """Counts by topic, types, first and last log time."""
+def test_summary(bag):
     summary = summarize(bag)
     assert summary.counts == {"/even": 10, "/odd": 10}
     assert summary.types["/odd"] == "std_msgs/msg/Float64"
     assert (summary.start_time, summary.end_time, summary.message_count) == (0, 19, 20)
 
 
-def test_custom_data_are_those_of_the_folder_or_else_of_the_file(tmp_path: Path) -> None:
+def test_custom_data_are_those_of_the_folder_or_else_of_the_file(tmp_path):
     """The folder's are written last. A folder may be named like a file."""
     folder = tmp_path / "run.mcap"
     with BagWriter(folder) as writer:
@@ -62,7 +55,7 @@ def test_custom_data_are_those_of_the_folder_or_else_of_the_file(tmp_path: Path)
     assert summarize(tmp_path / "other.mcap").custom_data == {}
 
 
-def test_messages_of_all_connections_of_a_topic_are_counted_and_read(tmp_path: Path) -> None:
+def test_messages_of_all_connections_of_a_topic_are_counted_and_read(tmp_path):
     """Two publishers with different QoS offers are two connections in a file."""
     with BagWriter(tmp_path / "run") as writer:
         kinds = (ReliabilityPolicy.RELIABLE, ReliabilityPolicy.BEST_EFFORT)
@@ -82,7 +75,7 @@ def test_messages_of_all_connections_of_a_topic_are_counted_and_read(tmp_path: P
     assert [m.log_time for m in read_messages(file, ["/x"])] == [0, 1, 2, 3, 4]
 
 
-def test_what_is_no_bag_is_refused_with_a_reason(tmp_path: Path) -> None:
+def test_what_is_no_bag_is_refused_with_a_reason(tmp_path):
     (tmp_path / "notes.txt").write_text("hello")
     for path, text in (
         (tmp_path / "nowhere", "nowhere does not exist"),
@@ -93,7 +86,7 @@ def test_what_is_no_bag_is_refused_with_a_reason(tmp_path: Path) -> None:
             summarize(path)
 
 
-def test_folder_without_metadata(bag: Path) -> None:
+def test_folder_without_metadata(bag):
     """A killed recorder leaves such a folder."""
     (bag / "metadata.yaml").unlink()
     with pytest.raises(BagError, match=f"tactile-hand recover {bag}"):
@@ -101,15 +94,14 @@ def test_folder_without_metadata(bag: Path) -> None:
 
 
 @pytest.mark.parametrize("size", [0, 4, 8, 100, 600, -1, -9, -40])
-def test_truncated_file(bag: Path, size: int) -> None:
-    """Wherever the file ends, the error names the remedy."""
+def test_truncated_file(bag, size):
     path = bag / "run_0.mcap"
     path.write_bytes(path.read_bytes()[:size])
     with pytest.raises(BagError, match=f"tactile-hand recover {bag}"):
         list(read_messages(bag))
 
 
-def test_damaged_chunk_is_found_while_reading(bag: Path) -> None:
+def test_damaged_chunk_is_found_while_reading(bag):
     """The index is intact, but the checksum reveals a damaged message."""
     path = bag / "run_0.mcap"
     data = bytearray(path.read_bytes())
@@ -123,8 +115,7 @@ def test_damaged_chunk_is_found_while_reading(bag: Path) -> None:
 
 
 @pytest.mark.parametrize("data", [b"", b"\0\1\0\0", b"\0\1\0\0" + bytes(3)])
-def test_message_that_is_no_message(tmp_path: Path, data: bytes) -> None:
-    """Bytes that cannot be decoded are an error, too; raw reading returns them."""
+def test_message_that_is_no_message(tmp_path, data):
     with BagWriter(tmp_path / "run") as writer:
         writer.write(writer.add_channel("/x", "std_msgs/msg/Float64"), data, 1, 1)
     [found] = read_messages(tmp_path / "run")
@@ -146,8 +137,7 @@ def test_message_that_is_no_message(tmp_path: Path, data: bytes) -> None:
         ("rosbag2_bagfile_information:", f"rosbag2_bagfile_information: {50_000 * '['}"),
     ],
 )
-def test_damaged_metadata_are_refused(bag: Path, old: str, new: str) -> None:
-    """Invalid numbers, names that lead elsewhere, deeply nested text."""
+def test_damaged_metadata_are_refused(bag, old, new):
     file = bag / "metadata.yaml"
     text = file.read_text()
     assert old in text

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Recovery of cut or damaged bags: all intact data returns, nothing is made up or destroyed."""
 
-from __future__ import annotations
-
 import os
 import shutil
 from collections.abc import Callable
@@ -62,10 +60,7 @@ def whole(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFacto
 
 @settings(max_examples=25)
 @given(part=st.floats(0.0, 1.0))
-def test_cut_at_any_byte_all_whole_chunks_come_back(
-    whole: Path, tmp_path_factory: pytest.TempPathFactory, part: float
-) -> None:
-    """The recovered messages have no gap; the original is unchanged."""
+def test_cut_at_any_byte_all_whole_chunks_come_back(whole, tmp_path_factory, part):
     folder = tmp_path_factory.mktemp("cut") / "run"
     shutil.copytree(whole, folder)
     file = folder / "run_0.mcap"
@@ -102,7 +97,7 @@ def damage(file: Path, change: Callable[[bytearray], None]) -> None:
     file.write_bytes(data)
 
 
-def test_damaged_chunk_is_left_out_and_the_rest_is_kept(tmp_path: Path) -> None:
+def test_damaged_chunk_is_left_out_and_the_rest_is_kept(tmp_path):
     sent = write_bag(tmp_path / "run", "none")
 
     def flip(data: bytearray) -> None:
@@ -115,7 +110,7 @@ def test_damaged_chunk_is_left_out_and_the_rest_is_kept(tmp_path: Path) -> None:
     assert len(got) > COUNT - 60 and recovery.left > 500
 
 
-def test_a_chunk_that_announces_too_much_is_left_out(tmp_path: Path) -> None:
+def test_a_chunk_that_announces_too_much_is_left_out(tmp_path):
     write_bag(tmp_path / "run")
 
     def announce(data: bytearray) -> None:
@@ -128,7 +123,7 @@ def test_a_chunk_that_announces_too_much_is_left_out(tmp_path: Path) -> None:
     assert 0 < recovery.messages < COUNT and recovery.left > 500
 
 
-def test_zeros_at_the_end_are_no_records(tmp_path: Path) -> None:
+def test_zeros_at_the_end_are_no_records(tmp_path):
     """A power failure leaves such zeros on the disk."""
     write_bag(tmp_path / "run")
     file = tmp_path / "run" / "run_0.mcap"
@@ -138,8 +133,7 @@ def test_zeros_at_the_end_are_no_records(tmp_path: Path) -> None:
     assert 0 < recovery.messages < COUNT and recovery.left > 4000
 
 
-def test_bag_of_others_of_several_files(tmp_path: Path) -> None:
-    """The new file has the messages of all files, with types, schemas and offers."""
+def test_bag_of_others_of_several_files(tmp_path):
     store = get_typestore(Stores.ROS2_JAZZY)
     folder = tmp_path / "foreign"
     folder.mkdir()
@@ -162,7 +156,7 @@ def test_bag_of_others_of_several_files(tmp_path: Path) -> None:
         assert "string data" in connection.msgdef.data
 
 
-def test_topic_and_times_are_kept(tmp_path: Path) -> None:
+def test_topic_and_times_are_kept(tmp_path):
     write_bag(tmp_path / "run", count=3)
     (tmp_path / "run" / "metadata.yaml").unlink()
     recovery = recover(tmp_path / "run")
@@ -196,7 +190,7 @@ def foreign_file(file: Path, offers: str = "", schema: int = 1, encoding: str = 
     return file
 
 
-def test_the_last_custom_data_count_and_other_records_are_kept(tmp_path: Path) -> None:
+def test_the_last_custom_data_count_and_other_records_are_kept(tmp_path):
     recovery = recover(foreign_file(tmp_path / "x.mcap"))
     assert recovery.target == tmp_path / "x_recovered"
     custom = {"count": "2", "at_1": "1", "at_2": "2", "recovered_bytes_left": "0"}
@@ -206,8 +200,7 @@ def test_the_last_custom_data_count_and_other_records_are_kept(tmp_path: Path) -
     assert records["origin"] == {"a": "b"}
 
 
-def test_offers_of_older_versions_have_names_afterwards(tmp_path: Path) -> None:
-    """Unreadable offers are omitted."""
+def test_offers_of_older_versions_have_names_afterwards(tmp_path):
     text = dump([{**LATCHED, "history": 1, "reliability": 2, "durability": 1, "liveliness": 1}])
     [topic] = recover(foreign_file(tmp_path / "x.mcap", text)).metadata.topics
     [offer] = topic.offers
@@ -220,8 +213,7 @@ def test_offers_of_older_versions_have_names_afterwards(tmp_path: Path) -> None:
     assert (without_schema.messages, without_schema.left) == (0, len(payload(1)))
 
 
-def test_refusals(tmp_path: Path) -> None:
-    """Each error names the problem; nothing is created."""
+def test_refusals(tmp_path):
     (tmp_path / "empty").mkdir()
     (tmp_path / "empty" / "run_0.mcap.zstd").touch()  # compressed by rosbag2, not by MCAP
     (tmp_path / "text.mcap").write_text("not an MCAP file")
@@ -238,10 +230,7 @@ def test_refusals(tmp_path: Path) -> None:
     assert {path.name for path in tmp_path.iterdir()} == {"empty", "text.mcap", "run"}
 
 
-def test_the_bag_of_a_run_is_found_in_its_folder(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """The new folder is next to the bag, even if its name is relative."""
+def test_the_bag_of_a_run_is_found_in_its_folder(tmp_path, monkeypatch):
     write_bag(tmp_path / "run" / "bag", count=2)
     assert find_bag(tmp_path / "run") == tmp_path / "run" / "bag"
     assert recover(tmp_path / "run").target == tmp_path / "run" / "bag_recovered"

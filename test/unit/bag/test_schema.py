@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Schema texts are complete, in rosbag2's order, and define the same type in other readers."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest
@@ -27,8 +25,7 @@ def source(package: str, name: str) -> str:
     return (Path(get_package_share_directory(package)) / "msg" / f"{name}.msg").read_text()
 
 
-def test_text_is_the_files_with_separators() -> None:
-    """Byte for byte: the root without a heading, then each used type once, under its heading."""
+def test_text_is_the_files_with_separators():
     expected = (
         source("geometry_msgs", "WrenchStamped")
         + f"\n{LINE}MSG: geometry_msgs/Wrench\n"
@@ -45,7 +42,7 @@ def test_text_is_the_files_with_separators() -> None:
 
 
 @pytest.mark.parametrize("type_name", TYPES)
-def test_text_means_the_same_type_as_in_rosbags(type_name: str) -> None:
+def test_text_means_the_same_type_as_in_rosbags(type_name):
     """Parsed alone, it yields the fields and the hash of rosbags' own Jazzy definitions."""
     jazzy = get_typestore(Stores.ROS2_JAZZY)
     own = get_typestore(Stores.EMPTY)
@@ -66,10 +63,7 @@ def package(root: Path, monkeypatch: pytest.MonkeyPatch, **files: str) -> None:
     message_definition.cache_clear()
 
 
-def test_arrays_comments_and_line_ends_are_kept(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Types of arrays are found and sorted; the text is unchanged."""
+def test_arrays_comments_and_line_ends_are_kept(tmp_path, monkeypatch):
     root = "# µ\r\nZ[<=3] z\nstring<=4 s\nA[2]  a # B b\nmy_msgs/M m\nint32 N=1\n"
     package(tmp_path, monkeypatch, Root_dot_msg=root, Z_dot_msg="bool z\n", A_dot_msg="Z z",
             M_dot_msg="bool m\n")  # fmt: skip
@@ -80,9 +74,7 @@ def test_arrays_comments_and_line_ends_are_kept(
     assert message_definition("my_msgs/msg/Root").text == expected
 
 
-def test_what_every_message_may_hold_is_no_type_of_its_own(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_every_message_may_hold_is_no_type_of_its_own(tmp_path, monkeypatch):
     kinds = ["bool", "byte", "char", "float32", "float64", "string"]
     kinds += [f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64)]
     root = "".join(f"{kind} a{i}\n{kind}[] b{i}\n" for i, kind in enumerate(kinds))
@@ -92,7 +84,6 @@ def test_what_every_message_may_hold_is_no_type_of_its_own(
 
 
 @pytest.mark.parametrize("name", ["no_such_msgs/msg/A", "std_msgs/msg/NoSuchType", "nonsense", ""])
-def test_unknown_type_is_an_error_that_names_it(name: str) -> None:
-    """The error names the type and the searched places."""
+def test_unknown_type_is_an_error_that_names_it(name):
     with pytest.raises(BagError, match=f"'{name}'.*AMENT_PREFIX_PATH"):
         message_definition(name)

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Topics are selected by their full name."""
 
-from __future__ import annotations
-
 import pytest
 
 from tactile_hand_ros.bag.selection import TopicSelection
@@ -22,13 +20,11 @@ from tactile_hand_ros.nodes.recorder.config import RecorderConfig
         ("/prefix/left/joint_states", False),
     ],
 )
-def test_patterns_match_the_whole_name(topic: str, chosen: bool) -> None:
-    """Exclusion wins over inclusion; hidden topics are never chosen."""
+def test_patterns_match_the_whole_name(topic, chosen):
     assert (topic in TopicSelection(["/left/.*"], [".*/debug"])) is chosen
 
 
-def test_everything_is_the_default() -> None:
-    """This includes simulated time, logs, diagnostics, parameters and namespaces."""
+def test_everything_is_the_default():
     config = RecorderConfig(output="bag")
     selection = TopicSelection(config.topics, config.exclude)
     names = ["/clock", "/rosout", "/diagnostics", "/hand/tactile/contacts", "/parameter_events"]
@@ -36,7 +32,6 @@ def test_everything_is_the_default() -> None:
 
 
 @pytest.mark.parametrize("key", ["topics", "exclude"])
-def test_broken_pattern_is_refused_with_its_place(key: str) -> None:
-    """The error names the key and the pattern."""
+def test_broken_pattern_is_refused_with_its_place(key):
     with pytest.raises(ConfigurationError, match=rf"{key}.*'\(' is not a valid regular expression"):
         from_flat(RecorderConfig, {"output": "bag", key: ["("]})

@@ -1,15 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Bags are readable by every reader, even after a failure."""
 
-from __future__ import annotations
-
 import os
-import resource
 import signal
 import subprocess
 import sys
-from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -46,8 +41,7 @@ def add_string(writer: BagWriter, topic: str = "/chatter") -> int:
 
 
 @pytest.mark.parametrize("compression", ["none", "lz4", "zstd"])
-def test_rosbags_reads_back_what_was_written(tmp_path: Path, compression: str) -> None:
-    """Counts, times, types, QoS and bytes."""
+def test_rosbags_reads_back_what_was_written(tmp_path, compression):
     sent = [payload(f"message {i}") for i in range(3000)]
     with BagWriter(tmp_path / "run", compression=compression, chunk_size=4096) as writer:
         channel, other = add_string(writer), add_string(writer, "/left/other")
@@ -64,8 +58,7 @@ def test_rosbags_reads_back_what_was_written(tmp_path: Path, compression: str) -
     assert got == [(10_000 + i, data) for i, data in enumerate(sent)]
 
 
-def test_mcap_holds_what_rosbag2_puts_there(tmp_path: Path) -> None:
-    """Profile, schema, channel texts, sequence zero, both times, metadata at open and at close."""
+def test_mcap_holds_what_rosbag2_puts_there(tmp_path):
     with BagWriter(tmp_path / "run", compression="zstd") as writer:
         writer.write(add_string(writer), payload("x"), 2_000, 1_000)
     with writer.path.open("rb") as stream:
@@ -94,8 +87,7 @@ def message_count(record: Metadata) -> Any:
     return yaml.safe_load(record.metadata["serialized_metadata"])["message_count"]
 
 
-def test_bag_without_messages_is_valid(tmp_path: Path) -> None:
-    """A channel without messages, or no channel."""
+def test_bag_without_messages_is_valid(tmp_path):
     with BagWriter(tmp_path / "silent") as writer:
         add_string(writer)
     BagWriter(tmp_path / "new" / "empty").close()
@@ -108,8 +100,7 @@ def test_bag_without_messages_is_valid(tmp_path: Path) -> None:
     assert summarize(tmp_path / "new" / "empty").counts == {}
 
 
-def test_refusals(tmp_path: Path) -> None:
-    """Nothing is overwritten or created."""
+def test_refusals(tmp_path):
     (tmp_path / "folder").mkdir()
     (tmp_path / "file").write_text("precious")
     for name in ("folder", "file"):
@@ -121,20 +112,7 @@ def test_refusals(tmp_path: Path) -> None:
     assert (tmp_path / "file").read_text() == "precious"
 
 
-@pytest.fixture
-def small_disk() -> Iterator[int]:
-    """Limit this process to files of 100 kB, as on a full disk."""
-    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
-    handler = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, hard))
-    yield 100_000
-    resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
-    signal.signal(signal.SIGXFSZ, handler)
-
-
-def test_full_disk_is_a_clear_error_and_what_was_written_can_be_recovered(
-    tmp_path: Path, small_disk: int
-) -> None:
+def test_full_disk_is_a_clear_error_and_what_was_written_can_be_recovered(tmp_path, small_disk):
     writer = BagWriter(tmp_path / "run", chunk_size=10_000)
     channel = add_string(writer)
     with pytest.raises(BagError, match="could not be written.*tactile-hand recover"):
@@ -147,8 +125,7 @@ def test_full_disk_is_a_clear_error_and_what_was_written_can_be_recovered(
     assert writer.message_count - 200 < messages <= writer.message_count
 
 
-def test_flushed_messages_survive_a_killed_process(tmp_path: Path) -> None:
-    """Flushed data is on disk, byte for byte, before SIGKILL."""
+def test_flushed_messages_survive_a_killed_process(tmp_path):
     code = (
         "import os, signal, sys; from tactile_hand_ros.bag.writer import BagWriter\n"
         "w = BagWriter(sys.argv[1], compression='lz4')\n"
@@ -173,12 +150,7 @@ _TIMES = st.integers(0, 2**62)
     messages=st.lists(st.tuples(st.booleans(), st.binary(max_size=300), _TIMES, _TIMES)),
     compression=st.sampled_from(["none", "lz4", "zstd"]),
 )
-def test_any_bytes_and_times_come_back(
-    tmp_path_factory: pytest.TempPathFactory,
-    messages: list[tuple[bool, bytes, int, int]],
-    compression: str,
-) -> None:
-    """Payloads are opaque and are returned unchanged, in order of log time."""
+def test_any_bytes_and_times_come_back(tmp_path_factory, messages, compression):
     folder = tmp_path_factory.mktemp("bags") / "run"
     with BagWriter(folder, compression=compression, chunk_size=256) as writer:
         channels = [add_string(writer, "/a"), add_string(writer, "/b")]
@@ -194,8 +166,7 @@ def test_any_bytes_and_times_come_back(
     assert [time for _, time, _ in got] == sorted(time for _, time, _ in got)
 
 
-def test_what_a_bag_says_before_it_is_closed(tmp_path: Path) -> None:
-    """Counts by topic, bytes, times; a message at time zero has no duration."""
+def test_what_a_bag_says_before_it_is_closed(tmp_path):
     writer = BagWriter(tmp_path / "run")
     first, second = add_string(writer, "/b"), add_string(writer, "/a")
     assert (first, second) == (1, 2)
@@ -217,7 +188,7 @@ def test_what_a_bag_says_before_it_is_closed(tmp_path: Path) -> None:
             call()
 
 
-def test_channels_of_one_type_share_its_schema(tmp_path: Path) -> None:
+def test_channels_of_one_type_share_its_schema(tmp_path):
     with BagWriter(tmp_path / "run") as writer:
         for name, kind in (("/a", STRING), ("/b", "std_msgs/msg/Empty"), ("/c", STRING)):
             writer.add_channel(name, kind)
@@ -228,7 +199,7 @@ def test_channels_of_one_type_share_its_schema(tmp_path: Path) -> None:
     assert [each.schema_id for each in summary.channels.values()] == [1, 2, 1]
 
 
-def test_a_chunk_of_the_default_size_is_written_as_soon_as_it_is_full(tmp_path: Path) -> None:
+def test_a_chunk_of_the_default_size_is_written_as_soon_as_it_is_full(tmp_path):
     """A killed recorder loses no more than this; messages and their headers count."""
     writer = BagWriter(tmp_path / "run")
     channel, before, count = add_string(writer), 0, 0

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 from support.hands import prism_grasp
+from support.recorded import assert_same
 
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
 from tactile_hand_ros.closed_loop.record import Record
@@ -30,8 +31,7 @@ def arrays(record):
 
 def test_equal_seeds_give_equal_bits_and_others_do_not():
     first, second = run(changes=NOISY), run(changes=NOISY)
-    for name, value in arrays(first).items():
-        np.testing.assert_array_equal(value, getattr(second, name), err_msg=name)
+    assert_same(first, second)
     other = run(changes={**NOISY, "seed": 2})
     assert np.abs(other.object_position - first.object_position).max() > 1e-9
 
@@ -106,23 +106,6 @@ def test_other_hands_hold_and_turn_other_objects(tmp_path, joints):
     np.testing.assert_allclose(
         record.true_forces[-1, :, 1], 10.0 * record.optimal_forces[-1, :, 1], atol=0.1
     )
-
-
-def test_the_hand_holds_when_a_contact_is_lost_and_drives_when_it_is_back():
-    """A push pulls the object off finger 3; a hold keeps the other contacts until it returns."""
-    pull = {"kind": "pulse", "start": 0.1, "duration": 0.02, "force": [0.0, -12.0, 0.0]}
-    loop = ClosedLoop(
-        load_scenario(
-            "paper", {"targets": [], "plant.disturbances": [pull], "plant.object.mass": 0.1}
-        )
-    )
-    record = loop.run(1000)
-    touching = np.isfinite(record.true_positions[:, :, 0])
-    lost = ~touching.all(axis=1)
-    assert 0 < lost.sum() < 900 and touching[-1].all()
-    assert np.isnan(record.auxiliary_position[lost]).all()
-    assert np.isfinite(record.command).all() and np.abs(record.command).max() < 20.0
-    assert np.isfinite(record.auxiliary_position[-1]).all()
 
 
 @pytest.mark.parametrize(("ticks", "every"), [(199, 1), (300, 3)])

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Finding the configuration directory and the installation prefix of the package."""
 
-from __future__ import annotations
-
 import os
 import sys
 from pathlib import Path
@@ -36,9 +34,7 @@ def make_share(prefix: Path) -> Path:
     return directory
 
 
-def test_configuration_is_looked_for_in_the_tree_then_in_the_prefixes(
-    installed: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_configuration_is_looked_for_in_the_tree_then_in_the_prefixes(installed, monkeypatch):
     with pytest.raises(ConfigurationError, match="python.*install the package"):
         config_directory()
     expected = make_share(installed / "python")
@@ -61,9 +57,7 @@ def listed(monkeypatch: pytest.MonkeyPatch, *before: Path | str) -> list[str]:
     return os.environ["AMENT_PREFIX_PATH"].split(os.pathsep)
 
 
-def test_package_and_interpreter_are_listed_once_after_what_is_there(
-    installed: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_package_and_interpreter_are_listed_once_after_what_is_there(installed, monkeypatch):
     mine, python, other = (str(installed / name) for name in ("mine", "python", "other"))
     assert listed(monkeypatch) == [mine, python]
     assert listed(monkeypatch, "", other, python) == [other, python, mine]

@@ -6,12 +6,7 @@ import pytest
 
 from tactile_hand_ros.control import command_guard
 from tactile_hand_ros.control.command_guard import CommandGuard, GuardConfig, TorqueCommand
-from tactile_hand_ros.control.holds import (
-    joint_torque,
-    split_forces,
-    spring,
-    tip_forces,
-)
+from tactile_hand_ros.control.holds import joint_torque, split_forces, spring, tip_forces
 from tactile_hand_ros.hand.hand import Hand
 
 TICK = 2_000_000
@@ -40,9 +35,9 @@ def follow(made, ticks=6):
 
 def test_good_commands_pass_to_the_bit():
     made = guard()
-    for tick in range(3):
+    for tick in range(200):  # the same torque, at rest
         np.testing.assert_array_equal(step(made, tick, TORQUE), TORQUE)
-    assert not made.reason and not made.holding and made.held == 0
+    assert not made.reason and not made.holding and made.held == 0 and not made.holds
 
 
 @pytest.mark.parametrize(
@@ -76,10 +71,6 @@ def test_at_rest_the_hold_answers_with_the_torque_that_was_there():
     np.testing.assert_allclose(step(made, last + 9, TORQUE, answers=last), TORQUE, atol=1e-12)
 
 
-def test_before_the_first_command_gravity_is_carried():
-    np.testing.assert_allclose(step(guard(), 0), HAND.gravity_torque(THETA), atol=1e-12)
-
-
 def test_bad_commands_while_taking_over_hold_on_without_another_reserve():
     made = guard()
     tick = follow(made) + 9
@@ -88,21 +79,6 @@ def test_bad_commands_while_taking_over_hold_on_without_another_reserve():
     again = step(made, tick + 2, TORQUE, answers=0)
     np.testing.assert_allclose(again, held, atol=1e-9)
     assert made.holds == {command_guard.LATE: 2}
-
-
-def test_a_torque_may_stay_the_same_while_the_joints_rest():
-    made = guard()
-    for tick in range(200):
-        step(made, tick, TORQUE)
-    assert not made.holds
-
-
-def moving(seed=3, ticks=8):
-    """Return joint rates and torques of some ticks."""
-    random = np.random.default_rng(seed)
-    return 0.1 * random.standard_normal((ticks, 9)), TORQUE + 0.1 * random.standard_normal(
-        (ticks, 9)
-    )
 
 
 def test_where_no_time_has_passed_nothing_presses():
@@ -201,9 +177,9 @@ def test_a_reset_forgets_earlier_holds_and_their_patience():
     assert held_after(made, tick + 1, 20) == 0
 
 
-def test_the_first_command_acts_at_once_after_the_start():
+def test_before_the_first_command_gravity_is_carried_and_that_acts_at_once():
     made = guard()
-    step(made, 0)
+    np.testing.assert_allclose(step(made, 0), HAND.gravity_torque(THETA), atol=1e-12)
     step(made, 1, TORQUE)
     assert not made.reason and made.holding
 

@@ -45,31 +45,27 @@ def noisy(tick):
     return FORCES + 1e-3 * np.sin(tick + np.arange(9.0)).reshape(3, 3)
 
 
-def doubles(at):
-    """Return forces that double at a tick."""
-    return lambda tick: noisy(tick) * (2.0 if tick >= at else 1.0)
+def scaled(at, factor=2.0):
+    """Return forces that are multiplied by a factor from a tick on."""
+    return lambda tick: noisy(tick) * (factor if tick >= at else 1.0)
 
 
 @pytest.mark.parametrize("late", [3, 7])
 def test_forces_of_a_late_skin_are_compared_with_the_torques_of_their_time(late):
-    assert first_doubt(doubles(50 + late), doubles(50), latency=0.015) is None
-    assert first_doubt(doubles(50 + late), doubles(50), latency=0.0) in (50, 51, 52)
+    assert first_doubt(scaled(50 + late), scaled(50), latency=0.015) is None
+    assert first_doubt(scaled(50 + late), scaled(50), latency=0.0) in (50, 51, 52)
 
 
 def test_forces_that_are_later_than_the_skin_may_be_are_doubted():
     """Torques from 15 ms ago are still accepted, those from 30 ms ago are not."""
-    found = first_doubt(noisy, doubles(50), latency=0.015)
-    assert 50 + 8 <= found <= 50 + 17
-    halved = lambda tick: noisy(tick) / (1.0 if tick < 50 else 2.0)  # noqa: E731
-    found = first_doubt(noisy, halved, latency=0.015)
-    assert 50 + 8 <= found <= 50 + 17
+    for factor in (2.0, 0.5):
+        found = first_doubt(noisy, scaled(50, factor), latency=0.015)
+        assert 50 + 8 <= found <= 50 + 17
 
 
 def test_one_finger_that_is_later_than_the_others_is_doubted():
     """The skin of one finger freezes while the grasp force rises: no delay fits all three."""
-
-    def grows(tick):
-        return noisy(tick) * (4.0 if tick >= 50 else 1.0)
+    grows = scaled(50, 4.0)
 
     def one_stays(tick):
         return np.vstack([noisy(min(tick, 49))[:1], grows(tick)[1:]])
@@ -78,14 +74,12 @@ def test_one_finger_that_is_later_than_the_others_is_doubted():
 
 
 def test_what_is_wrong_under_steady_torques_is_doubted_no_later_for_a_late_skin():
-    wrong = lambda tick: noisy(tick) * (-1.0 if tick >= 50 else 1.0)  # noqa: E731
-    assert first_doubt(wrong, noisy, latency=0.015) in (50, 51, 52)
+    assert first_doubt(scaled(50, -1.0), noisy, latency=0.015) in (50, 51, 52)
 
 
 def test_nothing_is_compared_until_the_first_forces_may_have_come():
-    wrong = lambda tick: 3.0 * noisy(tick)  # noqa: E731
-    assert first_doubt(wrong, noisy) == 1
-    assert first_doubt(wrong, noisy, latency=0.015) in (9, 10)
+    assert first_doubt(scaled(0, 3.0), noisy) == 1
+    assert first_doubt(scaled(0, 3.0), noisy, latency=0.015) in (9, 10)
 
 
 ONE = np.array([[-3.0, 3.0, -3.0], [1.0, 1.0, 1.0], [1.0, 1.0, 1.0]])

@@ -10,7 +10,6 @@ from tactile_hand_ros.control.contact import Contacts, contact_frame
 from tactile_hand_ros.control.holds import FittedGains
 from tactile_hand_ros.control.laws import LawConfig, ManipulationLaw, OptimalLaw, Target
 from tactile_hand_ros.control.optimizer.force_optimizer import ForceOptimizer, ForceOptimizerConfig
-from tactile_hand_ros.errors import CollinearContactsError
 from tactile_hand_ros.hand.hand import Hand
 from tactile_hand_ros.rotations import rotation_from_vector
 
@@ -121,23 +120,6 @@ def test_other_gains_of_law_8_act_at_once(grip):
     law.configure(LawConfig(name="kawamura", **GAINS))
     expected = grip.torque("kawamura").internal
     np.testing.assert_array_equal(grip.torque("kawamura", law=law).internal, expected)
-
-
-def rigid_rates(grip, twist):
-    """Return the joint rates at which the contacts follow a twist of the grasp, (6)."""
-    points = grip.contacts.positions
-    return np.linalg.solve(grip.jacobian, grasp_map(points, points.mean(axis=0)).T @ twist)
-
-
-@pytest.mark.parametrize("name", ["optimal", "contact"])
-@pytest.mark.parametrize("seed", range(4))
-def test_the_grasp_force_does_no_work_when_the_grasp_moves_as_one(name, seed):
-    grip = Grip(seed)
-    force = grip.torque(name).internal
-    for twist in np.eye(6):
-        rates = rigid_rates(grip, twist)
-        assert force @ rates == pytest.approx(0.0, abs=1e-8 * np.linalg.norm(rates))
-    assert np.linalg.norm(force) > 0.1
 
 
 def integral_law(**integral):
@@ -283,11 +265,3 @@ def test_reset_forgets_frame_integral_and_load(grip):
             again.total, grip.torque("optimal", law=fresh, forces=FORCES).total
         )
     np.testing.assert_array_equal(law.integral_wrench, fresh.integral_wrench)
-
-
-def test_a_grasp_on_a_line_is_an_error(grip):
-    flat = grip.contacts.positions * [1.0, 0.0, 0.0]
-    contacts = Contacts(flat, grip.contacts.rotations)
-    law = ManipulationLaw(LawConfig(), RADII)
-    with pytest.raises(CollinearContactsError):
-        law.auxiliary_pose(grip.tips, contacts)

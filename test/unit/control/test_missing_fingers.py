@@ -47,6 +47,13 @@ def ring(fingers, without=()):
     return contacts
 
 
+def without(loop, *fingers):
+    """Return the contacts of a loop without those of some fingers."""
+    positions = loop.state.contacts.positions.copy()
+    positions[list(fingers)] = np.nan
+    return Contacts(positions, loop.state.contacts.rotations)
+
+
 @pytest.mark.parametrize("fingers", [4, 5])
 def test_a_finger_that_a_blow_parts_from_the_object_comes_back(tmp_path, fingers):
     """The others do not wait for it: there is no hold, and the pose does not jump."""
@@ -109,9 +116,7 @@ def test_an_obstacle_off_the_skin_is_pressed_softly(tmp_path):
 def test_fewer_than_three_hold_the_posture(tmp_path):
     loop = ClosedLoop(scenario_of(tmp_path, 4, 0.1, {}))
     assert np.isfinite(loop.run(50).auxiliary_position).all()
-    state = loop.state
-    contacts = Contacts(state.contacts.positions.copy(), state.contacts.rotations.copy())
-    contacts.positions[:2] = np.nan
+    state, contacts = loop.state, without(loop, 0, 1)
     shape = loop.optimizer.step(loop.stamp, contacts).forces
     command = loop.controller.step(
         loop.stamp, state.joints.theta, np.zeros(12), contacts, shape, 10.0
@@ -207,9 +212,7 @@ def test_a_part_of_a_hand_has_its_joints_and_gravity(tmp_path):
 
 def test_a_finger_without_contact_need_not_follow_a_move(tmp_path):
     loop = ClosedLoop(scenario_of(tmp_path, 4, 0.1, {}))
-    contacts, hand = loop.state.contacts, loop.plant.hand
-    fewer = Contacts(contacts.positions.copy(), contacts.rotations)
-    fewer.positions[0] = np.nan
+    contacts, fewer, hand = loop.state.contacts, without(loop, 0), loop.plant.hand
     pose = AuxiliaryPose(contacts.centroid, np.eye(3))
     for shift, fits in ((0.01, True), (3.0, False)):
         target = Target(pose.position + [0.0, 0.0, shift], np.eye(3))
@@ -223,9 +226,7 @@ def test_a_finger_without_contact_need_not_follow_a_move(tmp_path):
 
 def test_closing_fingers_search_until_they_touch_or_have_gone_all_the_way(tmp_path):
     loop = ClosedLoop(scenario_of(tmp_path, 4, 0.1, {}))
-    contacts, hand = loop.state.contacts, loop.plant.hand
-    fewer = Contacts(contacts.positions.copy(), contacts.rotations)
-    fewer.positions[0] = np.nan
+    contacts, fewer, hand = loop.state.contacts, without(loop, 0), loop.plant.hand
     fingers = Regrasp(RegraspConfig(), hand)
     fingers.leave(loop.state.theta, contacts)
     fingers.close()

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The cost of judging a pose, in evaluated postures, because it is done within a tick."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from support.controllers import TICK, Bench
@@ -181,11 +179,6 @@ def test_fingers_with_joints_to_spare_are_solved_to_the_end(tmp_path):
     assert grasp.can_follow(*motion) and grasp.is_in_reach(*motion)
 
 
-def wanted(bench):
-    """Return the desired x of the grasp, m."""
-    return bench.controller.targets.target.position[0] - bench.centroid[0]
-
-
 def along(bench, x):
     return bench.target(x, 0.0, 0.0)
 
@@ -202,7 +195,7 @@ def test_of_several_poses_each_is_judged_once(bench, checks):
     found = []
     for _ in range(6):
         bench.step()
-        found.append(wanted(bench))
+        found.append(bench.shift[0])
     np.testing.assert_allclose(found, [0.0, 0.0, 0.03, 0.03, 0.05, 0.05], atol=1e-12)
     assert len(checks) == 2
 
@@ -229,11 +222,11 @@ def test_one_tick_judges_one_pose_the_newest_first(bench, checks):
     for refused in range(2):
         command = bench.step()
         assert command.mode is Mode.DRIVE and "out of reach" in command.reason
-        assert len(checks) == refused + 1 and wanted(bench) == 0.0
-    assert bench.step().reason == "" and wanted(bench) == pytest.approx(0.02)
+        assert len(checks) == refused + 1 and bench.shift[0] == 0.0
+    assert bench.step().reason == "" and bench.shift[0] == pytest.approx(0.02)
     for _ in range(3):
         bench.step()
-    assert len(checks) == 3 and wanted(bench) == pytest.approx(0.02)
+    assert len(checks) == 3 and bench.shift[0] == pytest.approx(0.02)
 
 
 def test_what_is_said_while_older_poses_wait_comes_after_them(bench, checks):
@@ -244,10 +237,10 @@ def test_what_is_said_while_older_poses_wait_comes_after_them(bench, checks):
     bench.controller.command(along(bench, 0.02))
     bench.controller.command(along(bench, 0.03), stamp=4 * TICK)
     bench.step()
-    assert wanted(bench) == pytest.approx(0.02)
+    assert bench.shift[0] == pytest.approx(0.02)
     bench.step()
     bench.step()
-    assert wanted(bench) == pytest.approx(0.03) and bench.stamp == 5 * TICK
+    assert bench.shift[0] == pytest.approx(0.03) and bench.stamp == 5 * TICK
 
 
 def test_a_new_grasp_judges_what_waits_anew(bench, checks):
@@ -265,7 +258,7 @@ def test_a_new_grasp_judges_what_waits_anew(bench, checks):
     for _ in range(3):
         bench.step()
     assert [id(target) for target in checks[2:]] == [id(again), id(waiting)]
-    assert wanted(bench) == pytest.approx(0.04)
+    assert bench.shift[0] == pytest.approx(0.04)
 
 
 def test_a_reset_forgets_what_was_in_reach(bench, checks):

@@ -9,7 +9,6 @@ from tactile_hand_ros.closed_loop.loop import ClosedLoop
 from tactile_hand_ros.closed_loop.record import Record
 from tactile_hand_ros.control.contact import Contacts
 from tactile_hand_ros.control.regrasp import Regrasp, RegraspConfig
-from tactile_hand_ros.errors import GraspError
 from tactile_hand_ros.hand.hand import Hand
 from tactile_hand_ros.scenario.scenario import load_scenario
 
@@ -17,12 +16,7 @@ from tactile_hand_ros.scenario.scenario import load_scenario
 @pytest.fixture(scope="module")
 def story():
     """Hold for 0.5 s, release for 1.5 s, and hold again; weightless, so that the cube waits."""
-    changes = {
-        "targets": [],
-        "duration": 6.0,
-        "plant.object.mass": 0.2,
-        "plant.object.friction": 1.0,
-    }
+    changes = {"targets": [], "duration": 6, "plant.object.mass": 0.2, "plant.object.friction": 1.0}
     loop = ClosedLoop(load_scenario("paper", changes))
     hand = loop.plant.hand
     record = Record.empty(loop.scenario.ticks, hand.finger_names, hand.joint_names)
@@ -52,12 +46,6 @@ def test_the_new_grasp_is_kept_where_it_was_taken(story):
     assert np.isfinite(story.auxiliary_position[-1]).all()
     late = story.auxiliary_position[-500:]
     assert np.linalg.norm(late - late[-1], axis=1).max() < 1e-3
-
-
-def test_there_must_be_a_grasp_to_let_go_of():
-    loop = ClosedLoop(load_scenario("paper"))
-    with pytest.raises(GraspError, match="let all fingers touch"):
-        loop.controller.release()
 
 
 CONFIG = RegraspConfig(opening=0.012, speed=0.02, overtravel=0.008)

@@ -140,11 +140,6 @@ def test_of_several_doubts_the_touch_is_named_first_and_the_force_before_its_sha
     assert "add up to 2" in bench.step(optimal_forces=wrong["optimal_forces"]).reason
 
 
-def test_a_law_without_optimal_forces_is_not_asked_for_their_sum():
-    bench = Bench(law__name="contact")
-    assert bench.step(optimal_forces=3.0 * bench.optimal).mode is Mode.DRIVE
-
-
 @pytest.mark.parametrize("risen", [False, True])
 def test_a_forgotten_grasp_force_raises_nothing(risen):
     """The torque inherited by a new controller is kept, whatever k_f is by now."""
@@ -159,10 +154,8 @@ def test_a_forgotten_grasp_force_raises_nothing(risen):
 
 def test_a_held_grasp_force_rises_as_far_as_the_joints_can_bear_and_keeps_its_shape():
     bench = Bench(gravity_compensation=True)
-    limits, weight = (
-        bench.controller.hand.effort_limits,
-        bench.controller.hand.gravity_torque(bench.theta),
-    )
+    hand = bench.controller.hand
+    limits, weight = hand.effort_limits, hand.gravity_torque(bench.theta)
     force = bench.step().torque - weight
     given = bench.step(contacts=bench.without_finger(0), grasp_force=1e4).torque
     assert np.abs(given / limits).max() == pytest.approx(1.0)

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What regulator, optimizer and controller publish after ticks, services, commands, parameters."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
@@ -16,7 +14,7 @@ from sensor_msgs.msg import JointState, JoyFeedbackArray
 from std_msgs.msg import Bool, Float64
 from std_srvs.srv import SetBool, Trigger
 from support.messages import pose_message
-from support.nodes import Process, counts, facts, tapped
+from support.nodes import counts, facts, tapped
 from support.spinning import spinning
 
 from tactile_hand_ros import names
@@ -77,9 +75,7 @@ def torque(sent: dict[str, list[bytes]], at: int = -1) -> tuple[int, Any]:
 
 
 @pytest.mark.parametrize("kind", ALL)
-def test_an_answer_is_published_with_its_tick_and_repeated_to_the_byte(
-    here: Process, kind: Any
-) -> None:
+def test_an_answer_is_published_with_its_tick_and_repeated_to_the_byte(here, kind):
     node = here.make(kind)
     sent = tapped(node)
     node.on_repeat()
@@ -101,7 +97,7 @@ def _kind(node: Any, topic: str) -> Any:
 
 
 @pytest.mark.parametrize("kind", ALL)
-def test_ticks_that_start_over_find_nothing_of_before(here: Process, kind: Any) -> None:
+def test_ticks_that_start_over_find_nothing_of_before(here, kind):
     node = here.make(kind)
     sent = tapped(node)
     tick(node, 0)
@@ -122,8 +118,8 @@ def test_ticks_that_start_over_find_nothing_of_before(here: Process, kind: Any) 
     ],
 )
 def test_a_changed_parameter_is_published_with_the_first_tick_that_it_changes(
-    here: Process, kind: Any, name: str, value: float, key: str
-) -> None:
+    here, kind, name, value, key
+):
     node = here.make(kind)
     topic = names.accepted_parameters(key)
     here.receive(ParameterEvent, topic, qos.latched_qos(qos.USER_DEPTH))
@@ -139,7 +135,7 @@ def test_a_changed_parameter_is_published_with_the_first_tick_that_it_changes(
     assert changed[0][name] != changed[1][name] == changed[2][name] == value
 
 
-def test_k_f_follows_the_user_and_goes_back_with_a_reset(here: Process) -> None:
+def test_k_f_follows_the_user_and_goes_back_with_a_reset(here):
     node = here.make(SlipRegulatorNode, grasp_force=10.0, mode="user", maximum=40.0)
     sent = tapped(node)
     here.receive(WrenchStamped, names.ACCEPTED_FORCE)
@@ -163,9 +159,7 @@ def test_k_f_follows_the_user_and_goes_back_with_a_reset(here: Process) -> None:
     assert list(grip.name) == ["finger_1", "finger_2", "finger_3"]
 
 
-def test_what_a_user_asks_in_vain_is_answered_with_the_last_tick_and_no_flood(
-    here: Process,
-) -> None:
+def test_what_a_user_asks_in_vain_is_answered_with_the_last_tick_and_no_flood(here):
     node, topic = here.make(SlipRegulatorNode), names.rejected(names.REGULATOR)
     here.receive(DiagnosticArray, topic)
     here.wait(lambda: node.peers()[f"publications /{topic}"] == 1, "the match")
@@ -185,7 +179,7 @@ def test_what_a_user_asks_in_vain_is_answered_with_the_last_tick_and_no_flood(
     assert stamp_to_ns(last.header.stamp) == 2 * TICK
 
 
-def test_the_haptic_device_gets_levels_every_20_ms_of_the_ticks(here: Process) -> None:
+def test_the_haptic_device_gets_levels_every_20_ms_of_the_ticks(here):
     node = here.make(SlipRegulatorNode, grasp_force=10.0, maximum=40.0, mode="user")
     here.receive(JoyFeedbackArray, names.HAPTIC_FEEDBACK)
     for stamp in (0, 10_000_000, 19_999_999, 20_000_000, 39_000_000, 40_000_000):
@@ -195,9 +189,7 @@ def test_the_haptic_device_gets_levels_every_20_ms_of_the_ticks(here: Process) -
 
 
 @pytest.mark.parametrize("force", [-1e-9, 40.0001, np.nan, np.inf])
-def test_no_k_f_beyond_its_limits_is_published(
-    here: Process, force: float, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_no_k_f_beyond_its_limits_is_published(here, force, monkeypatch):
     monkeypatch.setattr("tactile_hand_ros.control.slip.regulator.SlipRegulator.step", _of(10.0))
     node = here.make(SlipRegulatorNode, maximum=40.0)
     sent = tapped(node)
@@ -211,8 +203,7 @@ def _of(value: float) -> Any:
     return lambda *_: value
 
 
-def test_a_late_regulator_uses_the_ticks_that_it_does_not_answer(here: Process) -> None:
-    """A slip shows in consecutive samples."""
+def test_a_late_regulator_uses_the_ticks_that_it_does_not_answer(here):
     whole, late = here.make(SlipRegulatorNode), here.make(SlipRegulatorNode)
     sent, forces = tapped(late), [PUSH * (1.0 + 0.1 * np.sin(row)) for row in range(30)]
     for row, force in enumerate(forces):
@@ -224,9 +215,7 @@ def test_a_late_regulator_uses_the_ticks_that_it_does_not_answer(here: Process) 
     assert len(sent["grasp_force"]) == 10
 
 
-def test_that_touch_is_rejected_is_noted_once_and_stays_when_ticks_start_over(
-    here: Process,
-) -> None:
+def test_that_touch_is_rejected_is_noted_once_and_stays_when_ticks_start_over(here):
     node = here.make(SlipRegulatorNode)
     topic = names.accepted_requests(node.get_name())
     here.receive(DiagnosticArray, topic)
@@ -242,7 +231,7 @@ def test_that_touch_is_rejected_is_noted_once_and_stays_when_ticks_start_over(
     assert asked(here.messages(topic, 3)) == expected
 
 
-def test_without_an_answer_f_is_nan_and_the_reason_a_fault(here: Process) -> None:
+def test_without_an_answer_f_is_nan_and_the_reason_a_fault(here):
     node = here.make(ForceOptimizerNode)
     sent = tapped(node)
     gone = Contacts(np.full((3, 3), np.nan), STATE.contacts.rotations)
@@ -255,7 +244,7 @@ def test_without_an_answer_f_is_nan_and_the_reason_a_fault(here: Process) -> Non
     assert level(node)[0] == OK
 
 
-def test_a_torque_beyond_the_effort_limits_is_cut_off_with_a_warning(here: Process) -> None:
+def test_a_torque_beyond_the_effort_limits_is_cut_off_with_a_warning(here):
     node = here.make(ManipulationControllerNode, **{"law.damping": 1e-12})
     sent = tapped(node)
     limits = HAND.effort_limits
@@ -267,9 +256,7 @@ def test_a_torque_beyond_the_effort_limits_is_cut_off_with_a_warning(here: Proce
     assert (np.abs(torque(sent)[1]) <= limits).all()
 
 
-def test_a_tick_that_fails_is_answered_with_a_hold(
-    here: Process, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_tick_that_fails_is_answered_with_a_hold(here, monkeypatch):
     node = here.make(ManipulationControllerNode)
     sent = tapped(node)
     tick(node, 0)
@@ -283,7 +270,7 @@ def test_a_tick_that_fails_is_answered_with_a_hold(
     assert tick(node, 2 * TICK).mode.value == "drive"
 
 
-def test_an_answer_that_is_better_not_sent_is_sent_when_time_waits_for_it(here: Process) -> None:
+def test_an_answer_that_is_better_not_sent_is_sent_when_time_waits_for_it(here):
     node = here.make(ManipulationControllerNode)
     sent = tapped(node)
     for stamp in range(3):
@@ -298,7 +285,7 @@ def test_an_answer_that_is_better_not_sent_is_sent_when_time_waits_for_it(here: 
     assert torque(sent)[0] == 4 * TICK
 
 
-def test_where_time_is_known_to_wait_every_answer_is_sent(here: Process) -> None:
+def test_where_time_is_known_to_wait_every_answer_is_sent(here):
     node = ManipulationControllerNode(composed=True, time_waits=True, context=here.context)
     here.add(node)
     sent = tapped(node)
@@ -308,7 +295,7 @@ def test_where_time_is_known_to_wait_every_answer_is_sent(here: Process) -> None
     assert len(sent["joint_command"]) == 4
 
 
-def test_where_a_guard_holds_the_joints_a_blind_tick_is_not_answered(here: Process) -> None:
+def test_where_a_guard_holds_the_joints_a_blind_tick_is_not_answered(here):
     node = here.make(ManipulationControllerNode)
     sent = tapped(node)
     topic = names.accepted_requests(names.CONTROLLER)
@@ -332,7 +319,7 @@ def test_where_a_guard_holds_the_joints_a_blind_tick_is_not_answered(here: Proce
     ]
 
 
-def test_a_pose_is_published_when_it_becomes_the_target_with_that_tick(here: Process) -> None:
+def test_a_pose_is_published_when_it_becomes_the_target_with_that_tick(here):
     node = here.make(ManipulationControllerNode)
     here.receive(PoseStamped, names.ACCEPTED_POSE)
     rejected = names.rejected(names.CONTROLLER)
@@ -353,7 +340,7 @@ def test_a_pose_is_published_when_it_becomes_the_target_with_that_tick(here: Pro
     assert accepted.pose == pose_message(position, np.eye(3), 0).pose
 
 
-def test_a_pose_of_another_clock_is_rejected_at_the_first_tick_at_the_latest(here: Process) -> None:
+def test_a_pose_of_another_clock_is_rejected_at_the_first_tick_at_the_latest(here):
     node = here.make(ManipulationControllerNode)
     position, day = STATE.contacts.positions.mean(axis=0), 86_400_000_000_000
     for stamp in (day + 5 * TICK, day + 5 * TICK + 1):
@@ -366,7 +353,7 @@ def test_a_pose_of_another_clock_is_rejected_at_the_first_tick_at_the_latest(her
     assert counts(node, "rejected") == {names.DESIRED_POSE: 2}
 
 
-def test_of_too_many_poses_for_later_the_earliest_are_dropped(here: Process) -> None:
+def test_of_too_many_poses_for_later_the_earliest_are_dropped(here):
     node = here.make(ManipulationControllerNode)
     here.receive(PoseStamped, names.ACCEPTED_POSE)
     position = STATE.contacts.positions.mean(axis=0)
@@ -385,7 +372,7 @@ def receive(node: Any, message: PoseStamped) -> None:
     found.callback(serialize_message(message))
 
 
-def test_ticks_that_start_over_forget_all_poses_but_those_sent_meanwhile(here: Process) -> None:
+def test_ticks_that_start_over_forget_all_poses_but_those_sent_meanwhile(here):
     node = here.make(ManipulationControllerNode)
     here.receive(PoseStamped, names.ACCEPTED_POSE)
     centre = STATE.contacts.positions.mean(axis=0)
@@ -408,7 +395,7 @@ def test_ticks_that_start_over_forget_all_poses_but_those_sent_meanwhile(here: P
     assert [stamp_to_ns(each.header.stamp) for each in poses] == [2 * TICK, 0]
 
 
-def test_who_has_fallen_behind_answers_the_newest_tick_and_the_roundest(here: Process) -> None:
+def test_who_has_fallen_behind_answers_the_newest_tick_and_the_roundest(here):
     node = ForceOptimizerNode(context=here.context)
     contacts, answered = names.CONTACTS, names.optimal_force(HAND.finger_names[-1])
     here.receive(WrenchStamped, answered)
@@ -426,9 +413,7 @@ def test_who_has_fallen_behind_answers_the_newest_tick_and_the_roundest(here: Pr
     node.destroy_node()
 
 
-def test_a_minimum_that_exceeds_the_grasp_force_is_refused_and_changes_nothing(
-    here: Process,
-) -> None:
+def test_a_minimum_that_exceeds_the_grasp_force_is_refused_and_changes_nothing(here):
     node = here.make(ForceOptimizerNode, minimum_normal=0.1)
 
     def change(name: str, value: Any) -> Any:
@@ -442,7 +427,7 @@ def test_a_minimum_that_exceeds_the_grasp_force_is_refused_and_changes_nothing(
     assert not [key for key in facts(node) if "fault" in key]
 
 
-def test_services_change_the_controller_and_report_the_result(here: Process) -> None:
+def test_services_change_the_controller_and_report_the_result(here):
     node = here.make(ManipulationControllerNode)
     topic = names.accepted_requests(names.CONTROLLER)
     here.receive(DiagnosticArray, topic)
@@ -467,9 +452,7 @@ def test_services_change_the_controller_and_report_the_result(here: Process) -> 
     assert ("grasp", "false") in found and found[-1] == ("reset", "")
 
 
-def test_that_touch_is_rejected_is_published_when_it_begins_and_when_it_ends(
-    here: Process,
-) -> None:
+def test_that_touch_is_rejected_is_published_when_it_begins_and_when_it_ends(here):
     node = here.make(ManipulationControllerNode)
     here.receive(Bool, names.TOUCH_REJECTED, qos.latched_qos(10))
     stamps = iter(range(0, 10 * TICK, TICK))
@@ -482,9 +465,7 @@ def test_that_touch_is_rejected_is_published_when_it_begins_and_when_it_ends(
     assert not here.messages(names.TOUCH_REJECTED, 3)[-1].data
 
 
-def test_forces_are_not_observed_where_the_controller_does_not_receive_them(
-    here: Process,
-) -> None:
+def test_forces_are_not_observed_where_the_controller_does_not_receive_them(here):
     node = here.make(ManipulationControllerNode, composed=False, **{"law.observer.time": 0.0})
     (result,) = node.set_parameters([Parameter("law.observer.time", value=0.25)])
     assert not result.successful and "does not subscribe to forces" in result.reason

@@ -1,12 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Each node subscribes to its inputs and publishes the outputs that others need, once per tick."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest
-from support.nodes import Process
 
 from tactile_hand_ros import names
 from tactile_hand_ros.config.model import Config, flatten, leaves
@@ -18,11 +15,7 @@ from tactile_hand_ros.scenario.scenario import load_scenario
 FINGERS = ("finger_1", "finger_2", "finger_3")
 RECEIVED = {
     names.PLANT: {"joint_command"},
-    names.SENSOR: {
-        "ground_truth/contacts",
-        "ground_truth/slip",
-        *map(names.true_wrench, FINGERS),
-    },
+    names.SENSOR: {"ground_truth/contacts", "ground_truth/slip", *map(names.true_wrench, FINGERS)},
     names.REGULATOR: {
         "tactile/contacts",
         "joint_hold",
@@ -43,12 +36,7 @@ RECEIVED = {
 """The subscriptions of each node in the paper's scenario."""
 
 EACH_TICK = {
-    names.PLANT: {
-        "joint_states",
-        "clock",
-        "ground_truth/object_pose",
-        *RECEIVED[names.SENSOR],
-    },
+    names.PLANT: {"joint_states", "clock", "ground_truth/object_pose", *RECEIVED[names.SENSOR]},
     names.SENSOR: {"tactile/contacts", *map(names.wrench, FINGERS)},
     names.REGULATOR: {"grasp_force", "grip_state", "grip_margin", *map(names.load, FINGERS)},
     names.OPTIMIZER: set(map(names.optimal_force, FINGERS)),
@@ -81,9 +69,7 @@ def parameters(config: Config) -> dict[str, Any]:
         ),
     ],
 )
-def test_a_node_subscribes_to_what_it_is_configured_to_use(
-    scenario: str, changes: dict[str, Any], more: dict[str, set[str]], here: Process
-) -> None:
+def test_a_node_subscribes_to_what_it_is_configured_to_use(scenario, changes, more, here):
     wanted = load_scenario(scenario, changes)
     configs: dict[str, Config] = {
         names.PLANT: wanted.plant.changed({"autostart": False}),
@@ -109,7 +95,7 @@ def _is_tick(publisher: Any) -> bool:
     return bool(publisher.qos_profile == tick_publisher_qos())
 
 
-def test_composed_nodes_receive_only_what_users_send(here: Process) -> None:
+def test_composed_nodes_receive_only_what_users_send(here):
     received = {
         each.topic_name[1:]
         for kind in MEMBERS

@@ -4,7 +4,7 @@
 from tactile_hand_ros.nodes.common import ModeLog
 
 
-def test_each_change_is_one_line_with_its_reason_and_of_a_flood_five_a_second() -> None:
+def test_each_change_is_one_line_with_its_reason_and_of_a_flood_five_a_second():
     lines: list[str] = []
     now = [7.0]
     log = ModeLog(lines.append, lambda: now[0])

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """An in-process replay: what is published, when, from which time on, and how often."""
 
-from __future__ import annotations
-
 import re
 import time
 from collections.abc import Callable, Iterator
@@ -12,6 +10,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
+from rclpy.context import Context
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.serialization import serialize_message
@@ -27,7 +26,6 @@ from tactile_hand_ros.cli.app import main
 from tactile_hand_ros.errors import BagError
 from tactile_hand_ros.nodes import replay as replay_module
 from tactile_hand_ros.nodes.replay import Replay
-from tactile_hand_ros.ros.middleware import ros_context
 
 TYPE, BEGIN, STEP = "std_msgs/msg/Int64", 10**18, 10_000_000
 LATCHED = offered_qos(QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL))
@@ -70,8 +68,8 @@ class Player:
 
 
 @pytest.fixture
-def play(bag: Path) -> Iterator[Callable[..., Player]]:
-    with isolated_domain() as domain, ros_context(domain=domain) as context, ExitStack() as stack:
+def play(bag: Path, context: Context) -> Iterator[Callable[..., Player]]:
+    with ExitStack() as stack:
         node = Node("replay", context=context, start_parameter_services=False)
         stack.callback(node.destroy_node)
 
@@ -85,9 +83,7 @@ def play(bag: Path) -> Iterator[Callable[..., Player]]:
 
 
 @pytest.mark.parametrize("rate", [1.0, 4.0])
-def test_messages_come_in_order_and_not_before_their_time(
-    play: Callable[..., Player], rate: float
-) -> None:
+def test_messages_come_in_order_and_not_before_their_time(play, rate):
     player, seen = play(), list[float]()
     replay, began = player.replay, time.monotonic()
     replay.run(rate, lambda: seen.append(replay.position))
@@ -108,9 +104,7 @@ def test_messages_come_in_order_and_not_before_their_time(
         ({"exclude": ("/(robot|clock)",)}, {"/number": 1000}),
     ],
 )
-def test_topics_are_chosen_and_renamed(
-    play: Callable[..., Player], options: dict[str, Any], topics: dict[str, int]
-) -> None:
+def test_topics_are_chosen_and_renamed(play, options, topics):
     """A latched publisher keeps all messages of its topic."""
     replay = play(**options).replay
     publishers = replay.publishers.values()
@@ -125,16 +119,12 @@ def test_topics_are_chosen_and_renamed(
         (("/gone",), "can be published: The message type"),
     ],
 )
-def test_what_cannot_be_replayed_is_refused(
-    play: Callable[..., Player], topics: tuple[str], words: str
-) -> None:
+def test_what_cannot_be_replayed_is_refused(play, topics, words):
     with pytest.raises(BagError, match=re.escape(words)):
         play(topics=topics)
 
 
-def test_a_bag_without_messages_cannot_be_replayed(
-    play: Callable[..., Player], tmp_path: Path
-) -> None:
+def test_a_bag_without_messages_cannot_be_replayed(play, tmp_path):
     with BagWriter(tmp_path / "empty") as writer:
         writer.add_channel("/number", TYPE)
     with pytest.raises(BagError, match="it has no message"):
@@ -150,9 +140,7 @@ def test_a_bag_without_messages_cannot_be_replayed(
         ([("RELIABLE", "TRANSIENT_LOCAL"), ("RELIABLE", "VOLATILE")], "RELIABLE", "VOLATILE", 1000),
     ],
 )
-def test_publishers_offer_what_all_recorded_ones_offered(
-    offers: list[tuple[str, str]], reliability: str, durability: str, depth: int
-) -> None:
+def test_publishers_offer_what_all_recorded_ones_offered(offers, reliability, durability, depth):
     offered = [
         SimpleNamespace(reliability=SimpleNamespace(name=one), durability=SimpleNamespace(name=two))
         for one, two in offers
@@ -171,9 +159,7 @@ def test_publishers_offer_what_all_recorded_ones_offered(
         ("--namespace=1x", "the namespace is '1x'"),
     ],
 )
-def test_what_cannot_be_replayed_is_refused_in_a_sentence(
-    bag: Path, capsys: pytest.CaptureFixture[str], argument: str, text: str
-) -> None:
+def test_what_cannot_be_replayed_is_refused_in_a_sentence(bag, capsys, argument, text):
     with isolated_domain():
         assert main(["replay", str(bag), argument]) == 2
     *usage, said = capsys.readouterr().err.splitlines()

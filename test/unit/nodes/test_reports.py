@@ -41,16 +41,11 @@ def optimum() -> OptimalForces:
     return ForceOptimizer(CONFIG, 3).solve(CONTACTS)._replace(solve_time=0.999999)
 
 
-def test_before_the_first_tick_only_the_count_is_known() -> None:
-    diagnostics = Diagnostics("node")
-    OptimizerReport(diagnostics).report()
-    assert values(diagnostics)["unanswered_ticks"] == "0"
-    assert "status" not in values(diagnostics)
-
-
-def test_ticks_without_an_answer_are_a_fault_with_their_reason_until_there_is_one() -> None:
+def test_ticks_without_an_answer_are_a_fault_with_their_reason_until_there_is_one():
     diagnostics, optimal = Diagnostics("node"), optimum()
     report = OptimizerReport(diagnostics)
+    report.report()
+    assert values(diagnostics)["unanswered_ticks"] == "0" and "status" not in values(diagnostics)
     none = optimal._replace(status=Status.UNBALANCED, reason="none")
     assert not none.ok
     for answer, level, message in (
@@ -68,7 +63,7 @@ def test_ticks_without_an_answer_are_a_fault_with_their_reason_until_there_is_on
     assert shown["solve_time_us"] == "999999"
 
 
-def test_f_outside_the_usable_cones_at_most_ticks_is_told_with_the_worst_margin() -> None:
+def test_f_outside_the_usable_cones_at_most_ticks_is_told_with_the_worst_margin():
     """A short violation is no reason to warn."""
     diagnostics, optimal = Diagnostics("node"), optimum()
     report = OptimizerReport(diagnostics)
@@ -113,13 +108,13 @@ def noted(report: RegulatorReport, regulator: Regulator, *grips: tuple[int, int,
 STUCK = (ContactState.STICK, ContactState.STICK, ContactState.STICK)
 
 
-def test_facts_are_those_of_the_last_tick() -> None:
+def test_facts_are_those_of_the_last_tick():
     diagnostics = Diagnostics("node")
     report = RegulatorReport(diagnostics, ["a", "b", "c"])
     regulator = Regulator(SlipRegulatorConfig(mode="auto"))
     slip = int(ContactState.SLIP)
     noted(report, regulator, STUCK, (slip, 1, 0))
-    report.report(regulator)  # type: ignore[arg-type]
+    report.report(regulator)
     shown = values(diagnostics)
     assert [shown[f"grip {name}"] for name in "abc"] == ["slip", "stick", "unknown"]
     assert [shown[f"friction {name}"] for name in "abc"] == ["0.4", "0.5", "0.6"]
@@ -138,14 +133,12 @@ def test_facts_are_those_of_the_last_tick() -> None:
         ("user", math.inf, False, False),
     ],
 )
-def test_a_grasp_force_that_cannot_hold_is_a_warning(
-    mode: Any, needed: float, limit: bool, shape: bool
-) -> None:
+def test_a_grasp_force_that_cannot_hold_is_a_warning(mode, needed, limit, shape):
     diagnostics = Diagnostics("node")
     report = RegulatorReport(diagnostics, ["a", "b", "c"])
     regulator = Regulator(SlipRegulatorConfig(mode=mode, maximum=30.0), needed)
     noted(report, regulator, STUCK, STUCK)
-    report.report(regulator)  # type: ignore[arg-type]
+    report.report(regulator)
     shown = values(diagnostics)
     assert ("fault limit" in shown, "fault shape" in shown) == (limit, shape)
     assert diagnostics.status().level == (WARN if limit or shape else OK)
@@ -153,18 +146,18 @@ def test_a_grasp_force_that_cannot_hold_is_a_warning(
         assert "needs a grasp force of 30.5 N, but the limit is 30 N" in shown["fault limit"]
     regulator.needed = 5.0
     noted(report, regulator, STUCK)
-    report.report(regulator)  # type: ignore[arg-type]
+    report.report(regulator)
     assert diagnostics.status().level == OK
 
 
-def test_the_largest_required_grasp_force_is_reported_once() -> None:
+def test_the_largest_required_grasp_force_is_reported_once():
     diagnostics = Diagnostics("node")
     report = RegulatorReport(diagnostics, ["a", "b", "c"])
     regulator = Regulator(SlipRegulatorConfig(mode="auto", maximum=30.0))
     for squeezes, told in (((90.0, 40.0), "90 N"), ((40.0, math.inf, 50.0), "50 N")):
         for regulator.needed in squeezes:
             noted(report, regulator, STUCK)
-        report.report(regulator)  # type: ignore[arg-type]
+        report.report(regulator)
         assert f"needs a grasp force of {told}" in values(diagnostics)["fault limit"]
 
 
@@ -190,9 +183,9 @@ def command(mode: Mode, reason: str = "", pose: AuxiliaryPose | None = None) -> 
     return Command(np.zeros(9), mode, pose, reason)
 
 
-def test_each_change_of_mode_is_a_line_and_a_hold_a_fault_while_it_lasts() -> None:
+def test_each_change_of_mode_is_a_line_and_a_hold_a_fault_while_it_lasts():
     node, state = ControllerNode(), plant().state
-    report = ControllerReport(node, plant().hand)  # type: ignore[arg-type]
+    report = ControllerReport(node, plant().hand)
     for said, level, contacts in (
         (command(Mode.DRIVE), OK, state.contacts),
         (command(Mode.HOLD, "no contact"), ERROR, state.contacts),
@@ -217,9 +210,9 @@ def test_each_change_of_mode_is_a_line_and_a_hold_a_fault_while_it_lasts() -> No
     assert node.rejected == [(names.DESIRED_POSE, "out of reach")]
 
 
-def test_margins_are_those_of_the_grasp_and_unknown_without_one() -> None:
+def test_margins_are_those_of_the_grasp_and_unknown_without_one():
     node, state = ControllerNode(), plant().state
-    report = ControllerReport(node, plant().hand)  # type: ignore[arg-type]
+    report = ControllerReport(node, plant().hand)
     report.report(None)
     assert not any(key.startswith("A") for key in values(node.diagnostics))
     pose = AuxiliaryPose(np.array([0.1, 0.2, 0.3]), np.eye(3))

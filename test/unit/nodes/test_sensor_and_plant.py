@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The sensor's messages for true contacts, and the plant's reaction to commands."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
@@ -10,8 +8,7 @@ from rcl_interfaces.msg import Log
 from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from std_msgs.msg import String
-from std_srvs.srv import SetBool, Trigger
-from support.nodes import Process, facts, tapped
+from support.nodes import facts, tapped
 
 from tactile_hand_ros import names
 from tactile_hand_ros.nodes.plant.node import PlantNode
@@ -33,7 +30,7 @@ def sense(node: Any, stamp: int) -> TactileReading:
     return reading
 
 
-def test_noise_is_live_and_repeats_when_the_ticks_start_over(here: Process) -> None:
+def test_noise_is_live_and_repeats_when_the_ticks_start_over(here):
     node = here.make(TactileSensorNode, force_noise=0.1)
     sent = tapped(node)
     node.on_repeat()
@@ -49,28 +46,11 @@ def test_noise_is_live_and_repeats_when_the_ticks_start_over(here: Process) -> N
     assert all(messages[-1] == messages[-2] for messages in sent.values()) and len(sent) == 4
 
 
-def test_a_wrong_calibration_moves_contacts_with_the_joints(here: Process) -> None:
+def test_a_wrong_calibration_moves_contacts_with_the_joints(here):
     node = here.make(TactileSensorNode, **{"calibration.skin_rotation": [0.0, 0.0, 0.1]})
     expected = miscalibrated(node.config.calibration, HAND, STATE.theta, TRUE)
     np.testing.assert_allclose(sense(node, 5).positions, expected.positions)
     assert np.abs(expected.positions - TRUE.positions).max() > 1e-4
-
-
-def test_a_plant_takes_commands_by_joint_name_and_its_services_answer_with_its_mode(
-    here: Process,
-) -> None:
-    node = here.make(PlantNode, composed=False)
-    publisher = here.user.create_publisher(_kind(node), names.JOINT_COMMAND, tick_qos())
-    here.wait(lambda: publisher.get_subscription_count() == 1)
-    encode = JointCodec(HAND.joint_names, ("effort",)).encode
-    publisher.publish(encode(0, np.full(HAND.joints, 0.01)))
-    here.wait(lambda: facts(node)["tick_ns"] == str(TICK), "the next tick")
-    for on, mode in ((False, "paused"), (True, "running")):
-        answer = here.call(SetBool, "plant/run", data=on)
-        assert (answer.success, answer.message) == (True, mode)
-    answer = here.call(Trigger, "plant/reset")
-    assert (answer.success, answer.message) == (True, "running")
-    assert facts(node)["tick_ns"] == "0" and facts(node)["touching"] == "3"
 
 
 def _kind(node: Any) -> Any:
@@ -78,7 +58,7 @@ def _kind(node: Any) -> Any:
     return kind
 
 
-def test_a_plant_that_holds_says_why(here: Process) -> None:
+def test_a_plant_that_holds_says_why(here):
     node, lines = here.make(PlantNode, composed=False, command_timeout=0.2), list[str]()
     publisher = here.user.create_publisher(_kind(node), names.JOINT_COMMAND, tick_qos())
     here.wait(lambda: publisher.get_subscription_count() == 1)
@@ -91,7 +71,7 @@ def test_a_plant_that_holds_says_why(here: Process) -> None:
     here.wait(lambda: any("running -> holding: no usable joint_command" in x for x in lines), "log")
 
 
-def test_who_comes_late_still_gets_the_description_of_the_hand(here: Process) -> None:
+def test_who_comes_late_still_gets_the_description_of_the_hand(here):
     """It is published once, before any subscriber exists."""
     here.make(PlantNode, composed=False, autostart=False)
     latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)

@@ -1,14 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """From options to exit code: rejected input, for which nothing is started."""
 
-from __future__ import annotations
-
 import os
 import re
 import signal
-from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -35,8 +31,8 @@ SCENARIO = load_scenario("paper", {"duration": 0.1})
     ("options", "wanted"),
     [({}, "paper"), ({"named": "pull"}, "pull"), ({"scenario": "pull"}, "pull")],
 )
-def test_a_scenario_is_an_argument_or_an_option(options: dict[str, str], wanted: str) -> None:
-    assert RunOptions(**options).wanted == wanted  # type: ignore[arg-type]
+def test_a_scenario_is_an_argument_or_an_option(options, wanted):
+    assert RunOptions(**options).wanted == wanted
 
 
 @pytest.mark.parametrize(
@@ -53,9 +49,7 @@ def test_a_scenario_is_an_argument_or_an_option(options: dict[str, str], wanted:
         ({"priority": 100}, "--priority is '100'"),
     ],
 )
-def test_what_is_refused_starts_nothing(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, options: dict[str, Any], complaint: str
-) -> None:
+def test_what_is_refused_starts_nothing(tmp_path, monkeypatch, options, complaint):
     monkeypatch.chdir(tmp_path)
     Path("broken.yaml").write_text("extends: paper\nplant: {rate: 500\n")
     with pytest.raises(TactileHandError, match=complaint):
@@ -63,35 +57,23 @@ def test_what_is_refused_starts_nothing(
     assert not (tmp_path / "runs").exists()
 
 
-def test_a_second_run_in_the_same_place_is_refused(tmp_path: Path) -> None:
-    with isolated_domain() as domain, single_run_lock(domain, "/left"):
-        with pytest.raises(RunInProgressError, match=f"in ROS domain {domain} and namespace"):
-            execute(RunOptions(namespace="left", out=tmp_path / "runs"), Signals())
-    assert not (tmp_path / "runs").exists()
-
-
 @pytest.fixture
-def interrupted() -> Iterator[Signals]:
+def interrupted(handlers: None) -> Signals:
     """Return signals after a first signal."""
-    before = {n: signal.getsignal(n) for n in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
     signals = Signals()
     signals.install()
     os.kill(os.getpid(), signal.SIGINT)
-    yield signals
-    for number, handler in before.items():
-        signal.signal(number, handler)
+    return signals
 
 
-def test_a_signal_before_the_start_leaves_no_directory(
-    tmp_path: Path, interrupted: Signals
-) -> None:
+def test_a_signal_before_the_start_leaves_no_directory(tmp_path, interrupted):
     with isolated_domain(), pytest.raises(Interrupted, match="SIGINT"):
         execute(RunOptions(out=tmp_path / "runs"), interrupted)
     assert not (tmp_path / "runs").exists()
 
 
 @pytest.mark.parametrize("place", ["/locked_by_a_test", f"/{'a' * 200}"])
-def test_one_run_has_a_domain_and_namespace_until_it_ends(place: str) -> None:
+def test_one_run_has_a_domain_and_namespace_until_it_ends(place):
     """Even a namespace that is longer than a socket name may be."""
     with (
         single_run_lock(231, place),
@@ -115,14 +97,12 @@ def test_one_run_has_a_domain_and_namespace_until_it_ends(place: str) -> None:
         ("lockstep", True, True),
     ],
 )
-def test_nodes_share_a_process_in_real_time_unless_asked_otherwise(
-    pacing: str, asked: bool | None, expected: bool
-) -> None:
+def test_nodes_share_a_process_in_real_time_unless_asked_otherwise(pacing, asked, expected):
     scenario = load_scenario("paper", {"plant.pacing": pacing})
     assert shares_process(scenario, asked) is expected
 
 
-def test_a_run_ends_with_the_tick_at_its_duration_or_never_and_the_recorder_ends_last() -> None:
+def test_a_run_ends_with_the_tick_at_its_duration_or_never_and_the_recorder_ends_last():
     assert Plan(SCENARIO).end == 100_000_000
     assert Plan(SCENARIO, interactive=True).end is None
     assert STOP_ORDER[-1] == (RECORDER,) and PLANT in STOP_ORDER[0]
@@ -140,19 +120,17 @@ def test_a_run_ends_with_the_tick_at_its_duration_or_never_and_the_recorder_ends
         ("left", ["x", "--ros-args", "-r", "__ns:=/right"], "/left"),
     ],
 )
-def test_a_namespace_is_an_option_or_a_ros_argument(
-    given: str, arguments: list[str], expected: str
-) -> None:
+def test_a_namespace_is_an_option_or_a_ros_argument(given, arguments, expected):
     assert full_namespace(given, arguments) == expected
 
 
 @pytest.mark.parametrize("given", ["1st", "a-b", "a//b", "a b"])
-def test_a_bad_namespace_is_refused(given: str) -> None:
+def test_a_bad_namespace_is_refused(given):
     with pytest.raises(ConfigurationError, match=f"'{given}'"):
         full_namespace(given)
 
 
-def test_a_node_takes_part_without_parameter_services() -> None:
+def test_a_node_takes_part_without_parameter_services():
     with isolated_domain() as domain, ros_context() as context:
         assert context.get_domain_id() == domain
         with graph_node(context, "someone", "/left") as node:
@@ -162,7 +140,7 @@ def test_a_node_takes_part_without_parameter_services() -> None:
     assert not context.ok()
 
 
-def test_ros_arguments_that_cannot_be_used_are_one_line() -> None:
+def test_ros_arguments_that_cannot_be_used_are_one_line():
     with (
         isolated_domain(),
         pytest.raises(ConfigurationError, match="ROS arguments cannot be used: ") as caught,
@@ -172,18 +150,14 @@ def test_ros_arguments_that_cannot_be_used_are_one_line() -> None:
     assert "\n" not in str(caught.value) and ", at " not in str(caught.value)
 
 
-def test_ros_arguments_are_taken_out() -> None:
+def test_ros_arguments_are_taken_out():
     line = ["orchestrator", "--quiet", "--ros-args", "-r", "a:=b", "--", "--duration", "1"]
     assert split_ros_arguments(line) == (["--quiet", "--duration", "1"], line)
     assert split_ros_arguments(["orchestrator", "--quiet"]) == (["--quiet"], [])
 
 
-def test_the_executable_refuses_in_one_sentence(capsys: pytest.CaptureFixture[str]) -> None:
-    before = {n: signal.getsignal(n) for n in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
-    try:
-        assert main(["orchestrator", "papr"]) == 2
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
+@pytest.mark.usefixtures("handlers")
+def test_the_executable_refuses_in_one_sentence(capsys):
+    assert main(["orchestrator", "papr"]) == 2
     printed = capsys.readouterr()
     assert "did you mean 'paper'" in printed.err and printed.err.count("\n") == 1

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A run waits until all its nodes report that they have matched each other."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import pytest
@@ -64,15 +62,13 @@ def missing(node: Node, facts: Facts, members: list[str] = MEMBERS) -> list[tupl
 
 @pytest.mark.parametrize("composed", [False, True])
 @pytest.mark.parametrize("recorder", [False, True])
-def test_nothing_is_missing_where_all_have_matched(
-    node: Node, composed: bool, recorder: bool
-) -> None:
+def test_nothing_is_missing_where_all_have_matched(node, composed, recorder):
     members = [*MEMBERS, RECORDER] if recorder else MEMBERS
     facts = all_matched(composed=composed, recorder=recorder)
     assert missing(node, facts, members) == []
 
 
-def test_a_recorder_receives_every_topic_but_the_commands_of_users(node: Node) -> None:
+def test_a_recorder_receives_every_topic_but_the_commands_of_users(node):
     facts, members = all_matched(recorder=True), [*MEMBERS, RECORDER]
     facts[f"{HAND}/{RECORDER}"] = {}
     assert [text for name, text in missing(node, facts, members) if name == RECORDER] == [
@@ -80,13 +76,13 @@ def test_a_recorder_receives_every_topic_but_the_commands_of_users(node: Node) -
     ]
 
 
-def test_a_recorder_in_the_process_of_the_nodes_is_not_waited_for(node: Node) -> None:
+def test_a_recorder_in_the_process_of_the_nodes_is_not_waited_for(node):
     facts = all_matched(composed=True)
     facts[f"{HAND}/{RECORDER}"] = {f"subscriptions {HAND}/clock": "1"}
     assert missing(node, facts) == []
 
 
-def test_a_node_that_has_not_matched_is_named(node: Node) -> None:
+def test_a_node_that_has_not_matched_is_named(node):
     facts, topic = all_matched(), f"{HAND}/contacts"
     facts[f"{HAND}/{PLANT}"][f"publications {topic}"] = "0"
     facts[f"{HAND}/{SENSOR}"][f"subscriptions {topic}"] = "0"
@@ -97,13 +93,13 @@ def test_a_node_that_has_not_matched_is_named(node: Node) -> None:
 
 
 @pytest.mark.parametrize("absent", MEMBERS)
-def test_a_node_that_has_not_reported_is_missing(node: Node, absent: str) -> None:
+def test_a_node_that_has_not_reported_is_missing(node, absent):
     facts = all_matched()
     del facts[f"{HAND}/{absent}"]
     assert (absent, f"{absent} does not report yet") in missing(node, facts)
 
 
-def test_a_subscriber_from_outside_must_be_matched_too(node: Node, context: Context) -> None:
+def test_a_subscriber_from_outside_must_be_matched_too(node, context):
     viewer = Node("viewer", context=context, namespace=HAND)
     viewer.create_subscription(Empty, names.CLOCK, print, 1)
     topic = f"{HAND}/clock"

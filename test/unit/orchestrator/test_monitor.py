@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A monitor takes the newest messages of a hand on demand, over in-process DDS."""
 
-from __future__ import annotations
-
 import io
 from collections.abc import Iterator
 from typing import Any
@@ -14,11 +12,9 @@ from rclpy.qos import QoSProfile
 from rich.console import Console
 from sensor_msgs.msg import JointState
 
-from bench.processes import isolated_domain
 from tactile_hand_ros.orchestrator.monitor import Monitor, View, line_console
 from tactile_hand_ros.ros.diagnostics import ERROR, OK, STALE, WARN
 from tactile_hand_ros.ros.messages import stamp_from_ns
-from tactile_hand_ros.ros.middleware import ros_context
 from tactile_hand_ros.ros.processes import wait_until
 
 SECOND = 10**9
@@ -57,14 +53,13 @@ class Hand:
 
 
 @pytest.fixture
-def hand() -> Iterator[Hand]:
-    with isolated_domain() as domain, ros_context(domain=domain) as context:
-        node = Node("hand", context=context, namespace="/left", start_parameter_services=False)
-        yield Hand(node)
-        node.destroy_node()
+def hand(context: Any) -> Iterator[Hand]:
+    node = Node("hand", context=context, namespace="/left", start_parameter_services=False)
+    yield Hand(node)
+    node.destroy_node()
 
 
-def test_what_the_nodes_say_is_kept_by_node_until_they_say_something_else(hand: Hand) -> None:
+def test_what_the_nodes_say_is_kept_by_node_until_they_say_something_else(hand):
     monitor = hand.monitor()
     assert monitor.facts() == {} and monitor.faults() == [] and monitor.tick == -1
     assert monitor.answered() == -1 and not monitor.is_at_rest
@@ -94,15 +89,13 @@ def test_what_the_nodes_say_is_kept_by_node_until_they_say_something_else(hand: 
         ("paused", 3, False),
     ],
 )
-def test_the_plant_rests_when_it_stands_still_and_its_tick_is_answered(
-    hand: Hand, mode: str, answered: int, rests: bool
-) -> None:
+def test_the_plant_rests_when_it_stands_still_and_its_tick_is_answered(hand, mode, answered, rests):
     monitor = hand.monitor()
     hand.report(PLANT, mode=mode, tick_ns=4, answered_ns=answered)
     assert monitor.is_at_rest == rests
 
 
-def test_only_from_close_by_each_command_is_seen(hand: Hand) -> None:
+def test_only_from_close_by_each_command_is_seen(hand):
     hand.monitor()
     assert {each.topic_name for each in hand.node.subscriptions} == {"/diagnostics"}
     for each in list(hand.node.subscriptions):
@@ -126,9 +119,7 @@ def written(where: Console) -> str:
 
 
 @pytest.mark.parametrize(("duration", "of"), [(5.5, " of 5.5"), (None, "")])
-def test_a_pipe_gets_a_line_now_and_then_and_a_fault_in_full(
-    hand: Hand, duration: float | None, of: str
-) -> None:
+def test_a_pipe_gets_a_line_now_and_then_and_a_fault_in_full(hand, duration, of):
     monitor, where, fault = hand.monitor(), console(force_terminal=False), "[b] " + "why " * 100
     hand.report(PLANT, WARN, fault, answered_ns=1.25 * SECOND)
     monitor.tick = 1_250_000_000
@@ -141,9 +132,7 @@ def test_a_pipe_gets_a_line_now_and_then_and_a_fault_in_full(
     assert view.period == 2.0
 
 
-def test_a_bar_is_gone_at_the_end_and_a_fault_is_printed_in_full_above_it(
-    hand: Hand, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_bar_is_gone_at_the_end_and_a_fault_is_printed_in_full_above_it(hand, monkeypatch):
     monkeypatch.setenv("TERM", "xterm")
     monitor, reason = hand.monitor(), f"{'why ' * 30}end"
     hand.report(PLANT, WARN, reason)
@@ -159,7 +148,7 @@ def test_a_bar_is_gone_at_the_end_and_a_fault_is_printed_in_full_above_it(
     assert drawn.endswith("\x1b[2K")
 
 
-def test_quiet_means_quiet(hand: Hand) -> None:
+def test_quiet_means_quiet(hand):
     where = console(force_terminal=True)
     view = View(where, 1.0, quiet=True)
     with view.bar:

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Processes stop in order, by ever stronger signals, and report how they died."""
 
-from __future__ import annotations
-
 import os
 import signal
 import sys
@@ -14,11 +12,7 @@ import pytest
 
 from bench.processes import CapturedProcess
 from tactile_hand_ros.orchestrator import processes as launcher
-from tactile_hand_ros.orchestrator.processes import (
-    NodeDiedError,
-    NodeProcess,
-    Processes,
-)
+from tactile_hand_ros.orchestrator.processes import NodeDiedError, NodeProcess, Processes
 from tactile_hand_ros.ros import processes as ros_processes
 from tactile_hand_ros.ros.processes import executable_directory, wait_until
 
@@ -62,7 +56,7 @@ def marked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     wait_until(nothing_is_left)
 
 
-def test_groups_end_in_order(tmp_path: Path) -> None:
+def test_groups_end_in_order(tmp_path):
     note = f"trap 'echo $0 >> {tmp_path}/order; exit 0' INT; echo ready; "
     program = note + "while :; do tail -f /dev/null & wait; done"
     with shells(a=program, b=program, c=program) as processes:
@@ -71,9 +65,7 @@ def test_groups_end_in_order(tmp_path: Path) -> None:
         assert (tmp_path / "order").read_text().split() == ["c", "a", "b"]
 
 
-def test_stubborn_process_is_killed_and_named(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_stubborn_process_is_killed_and_named(tmp_path, monkeypatch):
     signals = (signal.SIGINT, signal.SIGTERM, signal.SIGKILL)
     assert tuple(number for number, _ in ros_processes._PATIENCE) == signals
     short = tuple(zip(signals, (0.1, 0.1, 5.0), strict=True))
@@ -84,13 +76,13 @@ def test_stubborn_process_is_killed_and_named(
         assert complaint.startswith(f"mule did not stop cleanly: code -{signal.SIGKILL}")
 
 
-def test_children_of_a_process_end_with_it(tmp_path: Path) -> None:
+def test_children_of_a_process_end_with_it(tmp_path):
     with shells(parent=PARENT) as processes:
         started(processes, tmp_path, "parent")
         processes.stop([["parent"]])
 
 
-def test_block_that_fails_leaves_nothing(tmp_path: Path) -> None:
+def test_block_that_fails_leaves_nothing(tmp_path):
     with pytest.raises(KeyError), shells(a=POLITE) as processes:
         started(processes, tmp_path, "a")
         processes.start("b", tmp_path / "b.log")
@@ -104,7 +96,7 @@ def test_block_that_fails_leaves_nothing(tmp_path: Path) -> None:
         ("kill -KILL $$", "x was ended by SIGKILL without any output"),
     ],
 )
-def test_death_is_described(program: str, said: str, tmp_path: Path) -> None:
+def test_death_is_described(program, said, tmp_path):
     process = NodeProcess("x", ["/bin/sh", "-c", program], tmp_path / "x.log")
     wait_until(lambda: process.returncode is not None)
     with pytest.raises(NodeDiedError) as caught:
@@ -138,7 +130,7 @@ with Processes(command=lambda name, guard: [*guard, *programs[name]]) as process
 """
 
 
-def test_nothing_outlives_a_killed_orchestrator_and_the_recorder_finishes(tmp_path: Path) -> None:
+def test_nothing_outlives_a_killed_orchestrator_and_the_recorder_finishes(tmp_path):
     """Not even a suspended node; a recorder receives a signal that lets it finish its bag."""
     with CapturedProcess([sys.executable, "-c", ORPHANS, tmp_path]) as orchestrator:
         orchestrator.wait_for_output("started")
@@ -156,8 +148,8 @@ def test_nothing_outlives_a_killed_orchestrator_and_the_recorder_finishes(tmp_pa
     ("prefix", "used"), [(executable_directory().parents[1], True), ("/opt/other", False)]
 )
 def test_ros2_run_starts_a_node_where_it_finds_the_same_package(
-    prefix: Path | str, used: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+    prefix, used, tmp_path, monkeypatch
+):
     """A script replaces `ros2`, which has no wheel, and does the same as `ros2 run`."""
     ros2 = tmp_path / "ros2"
     ros2.write_text(

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A run is judged by goal, completeness, failures and signals, with exit code and reasons."""
 
-from __future__ import annotations
-
 import io
 import json
 import math
@@ -76,9 +74,7 @@ def results(*problems: str, **changes: Any) -> RunResults:
         (results("3 messages lost"), "incomplete", "3 messages lost"),
     ],
 )
-def test_a_run_is_judged_by_its_goal_and_its_bag(
-    found: RunResults, outcome: str, reason: str | None
-) -> None:
+def test_a_run_is_judged_by_its_goal_and_its_bag(found, outcome, reason):
     reasons = [] if reason is None else [reason]
     expected = RunVerdict(outcome, reasons, len(reasons))
     assert judge(PLAN, RunOutcome(), found, 128) == expected
@@ -86,7 +82,7 @@ def test_a_run_is_judged_by_its_goal_and_its_bag(
 
 
 @pytest.mark.parametrize("plan", [PLAN, STEERED])
-def test_a_dropped_object_is_called_dropped(plan: Plan) -> None:
+def test_a_dropped_object_is_called_dropped(plan):
     found, outcome = results(dropped_at_s=2.16), RunOutcome(interrupted=plan.interactive)
     verdict = judge(plan, outcome, found, 130)
     assert (verdict.outcome, verdict.exit_code) == ("object dropped", 3)
@@ -94,7 +90,7 @@ def test_a_dropped_object_is_called_dropped(plan: Plan) -> None:
     assert in_words(verdict, found) == "object dropped at 2.160 s"
 
 
-def test_a_failure_comes_first() -> None:
+def test_a_failure_comes_first():
     outcome = RunOutcome(failure="plant ended", complaints=["recorder did not stop cleanly"])
     verdict = judge(PLAN, outcome, results("no bag"), 128)
     assert verdict == RunVerdict("failed", [outcome.failure, "no bag", *outcome.complaints], 1)
@@ -109,14 +105,12 @@ def test_a_failure_comes_first() -> None:
         (STEERED, 143, "interrupted", 143),
     ],
 )
-def test_ctrl_c_is_the_regular_end_of_an_interactive_run_alone(
-    plan: Plan, code: int, outcome: str, exit_code: int
-) -> None:
+def test_ctrl_c_is_the_regular_end_of_an_interactive_run_alone(plan, code, outcome, exit_code):
     verdict = judge(plan, RunOutcome(interrupted=True), results(), code)
     assert verdict == RunVerdict(outcome, [], exit_code)
 
 
-def test_an_interrupt_before_the_first_tick_leaves_nothing_to_miss() -> None:
+def test_an_interrupt_before_the_first_tick_leaves_nothing_to_miss():
     stopped = RunOutcome(interrupted=True, complaints=["plant did not stop cleanly"])
     nothing = RunResults(problems=["no bag"])
     assert judge(PLAN, stopped, nothing, 130).reasons == ["plant did not stop cleanly"]
@@ -125,9 +119,7 @@ def test_an_interrupt_before_the_first_tick_leaves_nothing_to_miss() -> None:
     assert judge(STEERED, stopped, started, 130).exit_code == 1
 
 
-def test_without_a_bag_a_run_is_not_judged_and_a_bag_that_should_be_there_is_missed(
-    tmp_path: Path,
-) -> None:
+def test_without_a_bag_a_run_is_not_judged_and_a_bag_that_should_be_there_is_missed(tmp_path):
     plan = Plan(PLAN.scenario, record=False)
     found = read_results(plan, RunDirectory(tmp_path), DONE)
     assert judge(plan, RunOutcome(), found, 128) == RunVerdict("finished", [], 0)
@@ -136,9 +128,7 @@ def test_without_a_bag_a_run_is_not_judged_and_a_bag_that_should_be_there_is_mis
     assert (verdict.outcome, verdict.exit_code, len(verdict.reasons)) == ("incomplete", 1, 1)
 
 
-def test_a_bag_that_is_short_is_a_problem_of_a_finished_run_in_lockstep(
-    directory: RunDirectory,
-) -> None:
+def test_a_bag_that_is_short_is_a_problem_of_a_finished_run_in_lockstep(directory):
     longer = load_scenario("paper", {"duration": 0.102, "targets": []})
     found = read_results(PLAN, directory, DONE)
     assert found.run is not None and found.problems == []
@@ -151,7 +141,7 @@ def test_a_bag_that_is_short_is_a_problem_of_a_finished_run_in_lockstep(
     assert found.recording["expected_ticks"] is None and found.problems == []
 
 
-def test_lost_messages_are_those_of_the_hand(tmp_path: Path) -> None:
+def test_lost_messages_are_those_of_the_hand(tmp_path):
     """The recorder may miss a node's messages from before its discovery."""
     lost = {"": "45", "/parameter_events": "43", "/left/joint_states": "2"}
     directory = RunDirectory(tmp_path)
@@ -168,7 +158,7 @@ def shown(plan: Plan, outcome: RunOutcome, found: RunResults) -> dict[str, list[
     return {str(name): [str(cell) for cell in rest] for name, *rest in zip(*columns, strict=True)}
 
 
-def test_what_has_a_goal_passes_or_fails(directory: RunDirectory) -> None:
+def test_what_has_a_goal_passes_or_fails(directory):
     started = RunOutcome(first_tick=2.5)
     found = read_results(PLAN, directory, DONE)
     rows = shown(PLAN, started, found)
@@ -184,7 +174,7 @@ def test_what_has_a_goal_passes_or_fails(directory: RunDirectory) -> None:
     assert "…" not in text.getvalue()  # nothing is cut off at 80 columns
 
 
-def test_a_drop_leaves_nothing_else_to_be_judged(tmp_path: Path) -> None:
+def test_a_drop_leaves_nothing_else_to_be_judged(tmp_path):
     scenario = load_scenario("pull", {"slip_regulator.mode": "user", "duration": 2.3})
     directory = RunDirectory(tmp_path)
     write_record(directory.bag, ClosedLoop(scenario).run())
@@ -196,9 +186,7 @@ def test_a_drop_leaves_nothing_else_to_be_judged(tmp_path: Path) -> None:
     assert judge(Plan(scenario), RunOutcome(), found, 128).exit_code == 3
 
 
-def test_deadlines_are_those_of_the_time_that_was_asked_for_or_of_the_user(
-    directory: RunDirectory,
-) -> None:
+def test_deadlines_are_those_of_the_time_that_was_asked_for_or_of_the_user(directory):
     """The ticks that a stalled run never reached count as missed."""
     plant = {"late_commands": "1", "missed_ticks": "2", "lost_s": "0", "time_s": "0.05"}
     outcome = RunOutcome(last_tick=50_000_000, plant=plant)
@@ -217,8 +205,7 @@ def test_deadlines_are_those_of_the_time_that_was_asked_for_or_of_the_user(
     assert json.loads(directory.summary.read_text())["real_time"]["late"] == 1.0
 
 
-def test_a_summary_holds_for_every_number_that_is_missing(tmp_path: Path) -> None:
-    """NaN becomes null."""
+def test_a_summary_holds_for_every_number_that_is_missing(tmp_path):
     record = ClosedLoop(PLAN.scenario).run()
     record.auxiliary_position[-1] = math.nan
     directory = RunDirectory(tmp_path)
@@ -233,7 +220,7 @@ def test_a_summary_holds_for_every_number_that_is_missing(tmp_path: Path) -> Non
     assert shown(PLAN, RunOutcome(), found)["final position error"][0] == "unknown"
 
 
-def test_a_report_that_fails_does_not_cost_the_run(tmp_path: Path) -> None:
+def test_a_report_that_fails_does_not_cost_the_run(tmp_path):
     write_record(tmp_path / "bag", random_record(5))
     assert report_line(Run(tmp_path)) == f"report: {tmp_path / 'report.html'}"
     (tmp_path / "report.html").unlink()

@@ -1,10 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Run directories are unique, linked, and hold a scenario for another run."""
 
-from __future__ import annotations
-
 import datetime
-from pathlib import Path
 
 import pytest
 import yaml
@@ -18,8 +15,7 @@ NOON = datetime.datetime(2030, 1, 2, 12, 0, 0)
 
 
 @pytest.mark.parametrize("name", scenario_names())
-def test_resolved_scenario_loads_back_to_the_same_values(name: str, tmp_path: Path) -> None:
-    """Shared values are written once."""
+def test_resolved_scenario_loads_back_to_the_same_values(name, tmp_path):
     scenario = load_scenario(name, {"seed": 7, "plant.object.friction": 0.5})
     path = RunDirectory(tmp_path).scenario
     text = RunDirectory(tmp_path).write_scenario(scenario)
@@ -29,9 +25,7 @@ def test_resolved_scenario_loads_back_to_the_same_values(name: str, tmp_path: Pa
     assert load_scenario(str(path)) == scenario
 
 
-def test_folders_above_are_made_no_name_leaves_them_and_latest_is_the_newest(
-    tmp_path: Path,
-) -> None:
+def test_folders_above_are_made_no_name_leaves_them_and_latest_is_the_newest(tmp_path):
     root = tmp_path / "a" / "b"
     runs = [RunDirectory.create(root, "../pull it", NOON) for _ in range(3)]
     stem = "20300102-120000-.._pull_it"
@@ -43,7 +37,7 @@ def test_folders_above_are_made_no_name_leaves_them_and_latest_is_the_newest(
     assert content["/**/plant"]["ros__parameters"]["rate"] == 500.0
 
 
-def test_root_that_is_a_file_is_refused(tmp_path: Path) -> None:
+def test_root_that_is_a_file_is_refused(tmp_path):
     (tmp_path / "runs").touch()
     with pytest.raises(ConfigurationError, match="choose another --out"):
         RunDirectory.create(tmp_path / "runs", "paper")

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The orchestrator's commands arrive with their times; a plant's rejection is an error."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -16,11 +14,9 @@ from std_msgs.msg import Float64
 from std_srvs.srv import SetBool
 from support.spinning import spinning
 
-from bench.processes import isolated_domain
 from tactile_hand_ros.orchestrator.steering import Steering, SteeringError, how_to_steer
 from tactile_hand_ros.ros import qos
 from tactile_hand_ros.ros.messages import PoseCodec, stamp_to_ns
-from tactile_hand_ros.ros.middleware import ros_context
 from tactile_hand_ros.ros.processes import wait_until
 from tactile_hand_ros.rotations import rotation_from_quaternion
 from tactile_hand_ros.scenario.scenario import TargetConfig, UserForceConfig, load_scenario
@@ -31,12 +27,6 @@ TARGETS = [
 ]
 FORCES = [UserForceConfig(time=time, force=1.0 + time) for time in (2.0, 0.0, 1.0)]
 SCENARIO = load_scenario("paper").model_copy(update={"targets": TARGETS, "user_forces": FORCES})
-
-
-@pytest.fixture
-def context() -> Iterator[Context]:
-    with isolated_domain() as domain, ros_context(domain=domain) as made:
-        yield made
 
 
 @pytest.fixture
@@ -56,7 +46,7 @@ def no_check() -> None:
     """Accept everything."""
 
 
-def test_targets_and_the_newest_force_that_is_due_arrive(make: Callable[[str], Node]) -> None:
+def test_targets_and_the_newest_force_that_is_due_arrive(make):
     hand, heard, forces = make("hand"), list[Any](), list[float]()
     hand.create_subscription(PoseStamped, "desired_pose", heard.append, qos.user_qos())
     hand.create_subscription(
@@ -82,9 +72,7 @@ def test_targets_and_the_newest_force_that_is_due_arrive(make: Callable[[str], N
 
 
 @pytest.mark.parametrize("accepts", [True, False])
-def test_the_plant_is_told_to_run_and_its_refusal_is_an_error(
-    make: Callable[[str], Node], accepts: bool
-) -> None:
+def test_the_plant_is_told_to_run_and_its_refusal_is_an_error(make, accepts):
     plant, asked = make("plant"), list[bool]()
 
     def answer(request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
@@ -105,7 +93,7 @@ def test_the_plant_is_told_to_run_and_its_refusal_is_an_error(
     assert asked == ([True, False] if accepts else [True])
 
 
-def test_a_plant_without_an_answer_is_not_awaited_for_ever(make: Callable[[str], Node]) -> None:
+def test_a_plant_without_an_answer_is_not_awaited_for_ever(make):
     class Trouble(Exception):
         pass
 
@@ -120,8 +108,6 @@ def test_a_plant_without_an_answer_is_not_awaited_for_ever(make: Callable[[str],
 
 
 @pytest.mark.parametrize(("namespace", "tail"), [("/", ""), ("/left", " --namespace /left")])
-def test_the_command_to_steer_names_the_hand_and_a_target_of_its_own(
-    namespace: str, tail: str
-) -> None:
+def test_the_command_to_steer_names_the_hand_and_a_target_of_its_own(namespace, tail):
     assert how_to_steer(namespace, TARGETS) == f"tactile-hand move 0.4 0.5 0.6{tail}"
     assert how_to_steer(namespace, []) == f"tactile-hand move X Y Z{tail}"

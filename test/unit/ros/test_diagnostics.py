@@ -3,14 +3,7 @@
 
 import pytest
 
-from tactile_hand_ros.ros.diagnostics import (
-    ERROR,
-    OK,
-    WARN,
-    WARN_SECONDS,
-    Diagnostics,
-    Mostly,
-)
+from tactile_hand_ros.ros.diagnostics import ERROR, OK, WARN, WARN_SECONDS, Diagnostics, Mostly
 
 
 class Clock:

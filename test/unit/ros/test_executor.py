@@ -1,14 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """The node executor serves the same entities as rclpy's, in turn, survives errors, and stops."""
 
-from __future__ import annotations
-
 import signal
 import sys
 import textwrap
 import threading
 from collections.abc import Callable, Iterator
-from pathlib import Path
 from typing import Any
 
 import psutil
@@ -21,7 +18,6 @@ from std_srvs.srv import Trigger
 from bench.processes import CapturedProcess, isolated_domain
 from tactile_hand_ros.ros.endpoints import subscribe_directly
 from tactile_hand_ros.ros.executor import WaitSetExecutor, spin
-from tactile_hand_ros.ros.middleware import ros_context
 from tactile_hand_ros.ros.processes import wait_until
 from tactile_hand_ros.ros.qos import user_qos
 
@@ -41,13 +37,12 @@ class Survivor(Node):
 
 
 @pytest.fixture
-def nodes() -> Iterator[list[Any]]:
-    with isolated_domain() as domain, ros_context(domain=domain) as context:
-        made: list[Any] = [Survivor("a", context), Survivor("b", context)]
-        made.append(Node("plain", context=context, start_parameter_services=False))
-        yield made
-        for node in made:
-            node.destroy_node()
+def nodes(context: Any) -> Iterator[list[Any]]:
+    made: list[Any] = [Survivor("a", context), Survivor("b", context)]
+    made.append(Node("plain", context=context, start_parameter_services=False))
+    yield made
+    for node in made:
+        node.destroy_node()
 
 
 def publish(node: Node, topic: str, *messages: Any) -> None:
@@ -84,9 +79,7 @@ def asked(node: Node, service: str) -> Any:
 
 
 @pytest.mark.parametrize("spun", [True, False])
-def test_after_a_message_of_damaged_bytes_the_next_is_received(
-    nodes: list[Any], spun: bool
-) -> None:
+def test_after_a_message_of_damaged_bytes_the_next_is_received(nodes, spun):
     got: list[float] = []
     nodes[1].create_subscription(Float64, "x", lambda m: got.append(m.data), 10)
     publish(nodes[2], "x", GARBAGE, Float64(data=2.0))
@@ -101,7 +94,7 @@ def test_after_a_message_of_damaged_bytes_the_next_is_received(
     assert got == [2.0]
 
 
-def test_messages_come_in_order_with_what_is_known_of_them_and_as_bytes(nodes: list[Any]) -> None:
+def test_messages_come_in_order_with_what_is_known_of_them_and_as_bytes(nodes):
     got: list[float] = []
     raw: list[bytes] = []
 
@@ -118,7 +111,7 @@ def test_messages_come_in_order_with_what_is_known_of_them_and_as_bytes(nodes: l
     assert raw == [serialize_message(message) for message in sent]
 
 
-def test_services_and_clients_work_also_under_a_flood_of_messages(nodes: list[Any]) -> None:
+def test_services_and_clients_work_also_under_a_flood_of_messages(nodes):
     here, there, _ = nodes
     echo = here.create_publisher(Float64, "x", 10)
     here.create_subscription(Float64, "x", echo.publish, 10)
@@ -129,7 +122,7 @@ def test_services_and_clients_work_also_under_a_flood_of_messages(nodes: list[An
     assert future.result().success
 
 
-def test_entities_may_come_and_go_while_spinning(nodes: list[Any]) -> None:
+def test_entities_may_come_and_go_while_spinning(nodes):
     """One that its own callback destroys receives no second message."""
     here, there, _ = nodes
     got: list[float] = []
@@ -153,12 +146,12 @@ def test_entities_may_come_and_go_while_spinning(nodes: list[Any]) -> None:
     assert got == [0.0, 3.0]
 
 
-def test_spin_returns_when_the_context_is_shut_down(nodes: list[Any]) -> None:
+def test_spin_returns_when_the_context_is_shut_down(nodes):
     nodes[0].create_timer(0.05, nodes[0].context.try_shutdown)
     spin(nodes[0])
 
 
-def test_an_error_in_a_service_is_reported_by_every_node_that_survives(nodes: list[Any]) -> None:
+def test_an_error_in_a_service_is_reported_by_every_node_that_survives(nodes):
     nodes[2].create_service(Trigger, "s", lambda *_: {}["left"])
     asked(nodes[2], "s")
     spin_until(nodes, lambda: nodes[0].survived and nodes[1].survived)
@@ -166,7 +159,7 @@ def test_an_error_in_a_service_is_reported_by_every_node_that_survives(nodes: li
 
 
 @pytest.mark.parametrize("kind", ["service", "timer"])
-def test_an_error_that_no_node_survives_ends_the_loop(nodes: list[Any], kind: str) -> None:
+def test_an_error_that_no_node_survives_ends_the_loop(nodes, kind):
     if kind == "service":
         nodes[2].create_service(Trigger, "s", lambda *_: {}["left"])
         asked(nodes[2], "s")
@@ -176,7 +169,7 @@ def test_an_error_that_no_node_survives_ends_the_loop(nodes: list[Any], kind: st
         spin(nodes[2])
 
 
-def test_a_flood_leaves_the_other_topics_their_turn(nodes: list[Any]) -> None:
+def test_a_flood_leaves_the_other_topics_their_turn(nodes):
     order: list[str] = []
     for name in ("flood", "few"):
         nodes[0].create_subscription(Float64, name, lambda _, name=name: order.append(name), 300)
@@ -186,9 +179,7 @@ def test_a_flood_leaves_the_other_topics_their_turn(nodes: list[Any]) -> None:
     assert order.index("few") in (0, 100)
 
 
-def test_what_waits_for_the_end_of_reading_is_called_once_after_all_messages(
-    nodes: list[Any],
-) -> None:
+def test_what_waits_for_the_end_of_reading_is_called_once_after_all_messages(nodes):
     calls: list[Any] = []
     executor = WaitSetExecutor(context=nodes[0].context)
 
@@ -207,9 +198,7 @@ def test_what_waits_for_the_end_of_reading_is_called_once_after_all_messages(
     assert calls == [0.0, 1.0, 2.0, "read"]
 
 
-def test_nodes_work_between_messages_as_long_as_there_is_something_to_do(
-    nodes: list[Any],
-) -> None:
+def test_nodes_work_between_messages_as_long_as_there_is_something_to_do(nodes):
     """A timer gets its turn meanwhile; then the executor waits."""
     counts = {"work": 0, "timer": 0}
 
@@ -226,7 +215,7 @@ def test_nodes_work_between_messages_as_long_as_there_is_something_to_do(
     assert counts["work"] >= 1000 and counts["timer"] > 0
 
 
-def test_no_executor_serves_what_is_taken_directly(nodes: list[Any]) -> None:
+def test_no_executor_serves_what_is_taken_directly(nodes):
     taken_directly = subscribe_directly(nodes[0], Float64, "x", user_qos())
     executor = WaitSetExecutor(context=nodes[0].context)
     assert not executor.can_execute(taken_directly)
@@ -270,8 +259,8 @@ sys.exit(run_node(Busy, arguments))
     ],
 )
 def test_a_signal_ends_a_node_quietly_and_one_that_waits_takes_no_processor_time(
-    tmp_path: Path, number: int, phase: str, load: str
-) -> None:
+    tmp_path, number, phase, load
+):
     path = tmp_path / "program.py"
     path.write_text(textwrap.dedent(PROGRAM))
     with isolated_domain(), CapturedProcess([sys.executable, str(path), load]) as process:
@@ -296,7 +285,7 @@ class EndedWhileServing(WaitSetExecutor):
         return super()._serve(10.0, nodes)
 
 
-def test_a_shutdown_that_the_public_executor_notices_first_ends_the_loop(nodes: list[Any]) -> None:
+def test_a_shutdown_that_the_public_executor_notices_first_ends_the_loop(nodes):
     """The guard condition wakes only one of the two."""
     executor = EndedWhileServing(context=nodes[0].context)
     executor.add_node(nodes[0])

@@ -1,14 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """A node gets complete ticks, the trigger alone after a timeout, and no tick twice."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from tactile_hand_ros import names
 from tactile_hand_ros.errors import TactileHandError
@@ -19,10 +16,7 @@ from tactile_hand_ros.ros.messages import ContactsCodec, JointCodec, Joints, Wre
 from tactile_hand_ros.ros.ticks import TickInputs
 from tactile_hand_ros.rotations import rotation_from_quaternion
 
-Array = NDArray[np.float64]
-
 MS = 1_000_000
-DAY = 86_400_000 * MS
 HAND = Hand.load("paper")
 FINGERS = HAND.finger_names
 THETA, RATES = np.linspace(0.1, 0.9, 9), np.linspace(-2.0, 3.0, 9)
@@ -159,7 +153,7 @@ def ear() -> Ear:
 
 
 @pytest.mark.parametrize("joints_first", [True, False])
-def test_a_tick_has_everything_in_its_place(joints_first: bool) -> None:
+def test_a_tick_has_everything_in_its_place(joints_first):
     ear = Ear()
     for part in (ear.joints, ear.others) if joints_first else (ear.others, ear.joints):
         assert ear.heard == []
@@ -175,7 +169,7 @@ def test_a_tick_has_everything_in_its_place(joints_first: bool) -> None:
     np.testing.assert_array_equal(forces, [[1, 2, 3], [1, 2, 4], [1, 2, 5]])
 
 
-def test_a_tick_that_was_answered_is_answered_alike_when_its_joints_come_again(ear: Ear) -> None:
+def test_a_tick_that_was_answered_is_answered_alike_when_its_joints_come_again(ear):
     ear.joints(4)
     ear.others(4)
     ear.others(4)
@@ -184,7 +178,7 @@ def test_a_tick_that_was_answered_is_answered_alike_when_its_joints_come_again(e
     assert ear.kinds() == ["repeat"]
 
 
-def test_in_lockstep_a_tick_is_waited_for_however_long_it_takes(ear: Ear) -> None:
+def test_in_lockstep_a_tick_is_waited_for_however_long_it_takes(ear):
     """The plant resends it repeatedly; the answer is that of a fast machine."""
     ear.joints(2)
     ear.others(2)
@@ -196,7 +190,7 @@ def test_in_lockstep_a_tick_is_waited_for_however_long_it_takes(ear: Ear) -> Non
     assert ear.kinds() == [("tick", 4)]
 
 
-def test_joints_that_stay_alone_for_the_time_out_are_passed_on_with_the_reason(ear: Ear) -> None:
+def test_joints_that_stay_alone_for_the_time_out_are_passed_on_with_the_reason(ear):
     ear.joints(2)
     ear.others(2)
     assert ear.kinds() == [("tick", 2)]
@@ -219,7 +213,7 @@ def test_joints_that_stay_alone_for_the_time_out_are_passed_on_with_the_reason(e
     assert ear.kinds() == [("blind", 508)]
 
 
-def test_what_is_missing_is_named_also_where_the_trigger_comes_first(ear: Ear) -> None:
+def test_what_is_missing_is_named_also_where_the_trigger_comes_first(ear):
     """Nothing else of the newest tick has arrived yet."""
     for stamp in range(0, 504, 4):
         ear.joints(stamp)
@@ -229,7 +223,7 @@ def test_what_is_missing_is_named_also_where_the_trigger_comes_first(ear: Ear) -
     assert ear.fault == "no grasp_force; holding the hand until all inputs are back"
 
 
-def test_all_that_is_missing_is_named_where_a_node_died_while_it_sent(ear: Ear) -> None:
+def test_all_that_is_missing_is_named_where_a_node_died_while_it_sent(ear):
     """Some inputs of the oldest tick have arrived; those that follow lack more."""
     ear.joints(0)
     ear.others(0, without=names.GRASP_FORCE)
@@ -240,7 +234,7 @@ def test_all_that_is_missing_is_named_where_a_node_died_while_it_sent(ear: Ear) 
     assert names.GRASP_FORCE in ear.fault
 
 
-def test_no_tick_is_answered_after_one_that_was_answered_blindly(ear: Ear) -> None:
+def test_no_tick_is_answered_after_one_that_was_answered_blindly(ear):
     """Late touch of that tick or an older one only ends the blindness."""
     at = ear.go_blind(2)
     ear.joints(at + 4)
@@ -256,7 +250,7 @@ def test_no_tick_is_answered_after_one_that_was_answered_blindly(ear: Ear) -> No
     assert ear.kinds() == [("tick", at + 9)]
 
 
-def test_ticks_that_begin_anew_are_answered_although_later_ones_were_blindly(ear: Ear) -> None:
+def test_ticks_that_begin_anew_are_answered_although_later_ones_were_blindly(ear):
     ear.joints(2)
     ear.others(2)
     assert ear.kinds() == [("tick", 2)]
@@ -269,12 +263,10 @@ def test_ticks_that_begin_anew_are_answered_although_later_ones_were_blindly(ear
     assert ear.kinds() == [("tick", 2)]
 
 
-def test_without_a_time_out_an_incomplete_tick_is_never_passed_on() -> None:
+def test_without_a_time_out_an_incomplete_tick_is_never_passed_on():
     patient = Ear()
     patient.inputs = TickInputs(
-        patient,  # type: ignore[arg-type]
-        (streams.joints(HAND.joint_names), streams.grasp_force()),
-        patient,
+        patient, (streams.joints(HAND.joint_names), streams.grasp_force()), patient
     )
     for stamp in range(0, 5000, 4):
         patient.joints(stamp)
@@ -294,7 +286,7 @@ def complete(node: Ear, *ticks: int) -> None:
 
 
 @pytest.mark.parametrize("observes", [True, False])
-def test_of_ticks_that_wait_together_some_are_skipped_or_only_observed(observes: bool) -> None:
+def test_of_ticks_that_wait_together_some_are_skipped_or_only_observed(observes):
     node = Ear(observes=observes)
     complete(node, 16)
     node.reads_late = True
@@ -306,7 +298,7 @@ def test_of_ticks_that_wait_together_some_are_skipped_or_only_observed(observes:
     assert values["ticks_left_out"] == "1"
 
 
-def test_an_answer_is_not_repeated_when_a_newer_one_is_about_to_be_given() -> None:
+def test_an_answer_is_not_repeated_when_a_newer_one_is_about_to_be_given():
     node = Ear()
     complete(node, 4)
     node.reads_late = True
@@ -318,7 +310,7 @@ def test_an_answer_is_not_repeated_when_a_newer_one_is_about_to_be_given() -> No
     assert node.kinds() == [("tick", 6), "repeat"]
 
 
-def test_a_tick_that_cannot_be_answered_is_reported_and_the_others_are_answered() -> None:
+def test_a_tick_that_cannot_be_answered_is_reported_and_the_others_are_answered():
     node = Ear()
     node.bad = 24 * MS
     complete(node, 16)
@@ -329,7 +321,7 @@ def test_a_tick_that_cannot_be_answered_is_reported_and_the_others_are_answered(
     assert node.rejected == [(names.JOINT_STATES, "no answer to this tick")]
 
 
-def test_ticks_that_wait_are_forgotten_when_the_stamps_start_over() -> None:
+def test_ticks_that_wait_are_forgotten_when_the_stamps_start_over():
     """And the first one is not skipped, as if it followed the previous ones."""
     node = Ear()
     complete(node, 20)
@@ -341,7 +333,7 @@ def test_ticks_that_wait_are_forgotten_when_the_stamps_start_over() -> None:
     assert node.kinds() == [("tick", 0), ("tick", 32)]
 
 
-def test_while_two_senders_send_the_trigger_no_tick_is_answered() -> None:
+def test_while_two_senders_send_the_trigger_no_tick_is_answered():
     """The right joints cannot be identified; without an answer, the driver holds."""
     ear = Ear()
     complete(ear, 1, 2)
@@ -356,7 +348,7 @@ def test_while_two_senders_send_the_trigger_no_tick_is_answered() -> None:
 
 
 @pytest.mark.parametrize("ahead", [101, 900, 1_001, 10**6])
-def test_one_stamp_far_ahead_does_not_silence_the_others(ahead: int) -> None:
+def test_one_stamp_far_ahead_does_not_silence_the_others(ahead):
     ear = Ear()
     for tick in range(0, 12, 2):
         if tick in (4, 8):
@@ -366,19 +358,19 @@ def test_one_stamp_far_ahead_does_not_silence_the_others(ahead: int) -> None:
 
 
 @pytest.mark.parametrize(("confirming", "is_taken"), [(3_000, True), (3_001, True), (2_999, False)])
-def test_a_second_stamp_as_far_ahead_confirms_the_first(confirming: int, is_taken: bool) -> None:
+def test_a_second_stamp_as_far_ahead_confirms_the_first(confirming, is_taken):
     ear = Ear()
     complete(ear, 0, 3_000, confirming)
     assert ear.kinds() == [("tick", 0), *[("tick", confirming)] * is_taken]
 
 
-def test_a_stamp_that_continues_refutes_one_ahead() -> None:
+def test_a_stamp_that_continues_refutes_one_ahead():
     ear = Ear()
     complete(ear, 0, 3_000, 2, 3_000)
     assert ear.kinds() == [("tick", 0), ("tick", 2)]
 
 
-def test_slow_ticks_are_answered_when_they_are_sent_again() -> None:
+def test_slow_ticks_are_answered_when_they_are_sent_again():
     """A plant in lockstep repeats an unanswered tick, and its ticks may be far apart."""
     ear = Ear()
     complete(ear, 0, 10_000, 10_000, 20_000, 20_000)
@@ -389,9 +381,7 @@ def test_slow_ticks_are_answered_when_they_are_sent_again() -> None:
     ]
 
 
-def test_inputs_are_missing_when_the_time_out_has_passed_by_the_stamps_and_by_the_wall_clock(
-    ear: Ear,
-) -> None:
+def test_inputs_are_missing_when_the_time_out_has_passed_by_the_stamps_and_by_the_wall_clock(ear):
     """A single timestamp is no passing time, nor is a stopped clock; a step back restarts it."""
     for wall, stamp, heard in (
         (0, 10_000, []),

@@ -1,6 +1,4 @@
 # SPDX-License-Identifier: Apache-2.0
-from __future__ import annotations
-
 import re
 from pathlib import Path
 from xml.etree import ElementTree
@@ -18,7 +16,7 @@ RANGE, PROFILE = "ROS_AUTOMATIC_DISCOVERY_RANGE", "FASTRTPS_DEFAULT_PROFILES_FIL
     ("given", "name"),
     [({}, "subnet"), ({RANGE: "SUBNET"}, "subnet"), ({RANGE: "LOCALHOST"}, "localhost")],
 )
-def test_the_range_chooses_a_profile_of_sockets(given: dict[str, str], name: str) -> None:
+def test_the_range_chooses_a_profile_of_sockets(given, name):
     settings = socket_settings(given)
     file = Path(settings[PROFILE])
     kinds = [each.text for each in ElementTree.parse(file).iter() if each.tag.endswith("}type")]
@@ -26,13 +24,13 @@ def test_the_range_chooses_a_profile_of_sockets(given: dict[str, str], name: str
     assert settings[RANGE] == "SUBNET"  # LOCALHOST itself would enable shared memory again
 
 
-def test_the_older_variable_means_this_machine_too() -> None:
+def test_the_older_variable_means_this_machine_too():
     settings = socket_settings({"ROS_LOCALHOST_ONLY": "1"})
     assert Path(settings[PROFILE]).stem == "localhost"
     assert (settings[RANGE], settings["ROS_LOCALHOST_ONLY"]) == ("SUBNET", "0")
 
 
-def test_it_is_chosen_once_and_narrowed_at_need() -> None:
+def test_it_is_chosen_once_and_narrowed_at_need():
     first = socket_settings({RANGE: "LOCALHOST"})
     assert socket_settings(first) == {}  # a child process has nothing to change
     assert socket_settings({**first, RANGE: "LOCALHOST"}) == first
@@ -48,13 +46,11 @@ def test_it_is_chosen_once_and_narrowed_at_need() -> None:
         {"RMW_IMPLEMENTATION": "rmw_cyclonedds_cpp", RANGE: "LOCALHOST"},
     ],
 )
-def test_what_the_user_has_chosen_stays(given: dict[str, str]) -> None:
+def test_what_the_user_has_chosen_stays(given):
     assert socket_settings(given) == {}
 
 
-def test_without_a_configuration_nothing_is_set(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The user of the configuration reports that it is missing."""
-
+def test_without_a_configuration_nothing_is_set(monkeypatch):
     def fail() -> Path:
         raise ConfigurationError("no configuration")
 
@@ -63,7 +59,7 @@ def test_without_a_configuration_nothing_is_set(monkeypatch: pytest.MonkeyPatch)
 
 
 @pytest.mark.parametrize("domain", ["", "0", "232"])
-def test_domains_that_exist_are_accepted(domain: str) -> None:
+def test_domains_that_exist_are_accepted(domain):
     middleware.check_environment({"ROS_DOMAIN_ID": domain})
     middleware.check_environment({"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"})
     middleware.check_environment({"RMW_IMPLEMENTATION": "rmw_fastrtps_cpp"})
@@ -80,8 +76,6 @@ def test_domains_that_exist_are_accepted(domain: str) -> None:
         ("RMW_IMPLEMENTATION", "rmw_none_cpp", "'rmw_none_cpp', which is not installed here"),
     ],
 )
-def test_settings_with_which_nodes_never_meet_are_refused(
-    name: str, value: str, complaint: str
-) -> None:
+def test_settings_with_which_nodes_never_meet_are_refused(name, value, complaint):
     with pytest.raises(ConfigurationError, match=re.escape(complaint)):
         middleware.check_environment({name: value})

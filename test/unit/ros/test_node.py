@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The base of all nodes: it survives and reports bad messages and errors, and counts peers."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from pathlib import Path
@@ -104,7 +102,7 @@ def logged(here: Process) -> Callable[[], list[str]]:
     return lambda: [m.msg for m in here.messages("/rosout", 0) if "example" in m.name]
 
 
-def test_a_bad_message_is_counted_logged_once_and_survived(here: Process, node: Example) -> None:
+def test_a_bad_message_is_counted_logged_once_and_survived(here, node):
     lines = logged(here)
     for value in (math.nan, math.nan, 2.0):
         here.send("/left/x", Float64(data=value))
@@ -118,7 +116,7 @@ def test_a_bad_message_is_counted_logged_once_and_survived(here: Process, node: 
     here.wait(lambda: lines() == [f"rejected a message on 'x': {reason}"], "a line")
 
 
-def test_no_callback_ends_a_node(here: Process, node: Example) -> None:
+def test_no_callback_ends_a_node(here, node):
     """An unexpected error is logged once per source, and makes the node safe each time."""
     lines = logged(here)
     node.create_timer(0.01, node.fail)
@@ -140,9 +138,7 @@ def test_no_callback_ends_a_node(here: Process, node: Example) -> None:
     assert facts(node)["errors y"] == "1" and "KeyError" in facts(node)["last error y"]
 
 
-def test_an_output_that_is_not_safe_is_no_bad_message_and_a_fatal_error_ends_the_node(
-    node: Example,
-) -> None:
+def test_an_output_that_is_not_safe_is_no_bad_message_and_a_fatal_error_ends_the_node(node):
     node.error = UnsafeOutputError("nan")
     assert node.guarded("ticks", node.fail)() is None
     assert counts(node, "errors")["ticks"] == 1 and counts(node, "rejected") == {}
@@ -156,7 +152,7 @@ def test_an_output_that_is_not_safe_is_no_bad_message_and_a_fatal_error_ends_the
     assert counts(node, "errors")["ticks"] == 1
 
 
-def test_a_service_refuses_in_the_fields_of_its_type() -> None:
+def test_a_service_refuses_in_the_fields_of_its_type():
     for kind in (Trigger, SetBool):
         answer = refusal(kind.Request(), kind.Response(success=True, message="yes"), "no")
         assert (answer.success, answer.message) == (False, "no")
@@ -169,7 +165,7 @@ def test_a_service_refuses_in_the_fields_of_its_type() -> None:
     assert refusal(request, other, "no") is other
 
 
-def test_the_place_is_the_innermost_of_this_package_or_else_of_all() -> None:
+def test_the_place_is_the_innermost_of_this_package_or_else_of_all():
     try:
         checked_number(math.nan)
     except MessageError as error:
@@ -182,7 +178,7 @@ def test_the_place_is_the_innermost_of_this_package_or_else_of_all() -> None:
     assert location(ValueError("never raised")) == "unknown"
 
 
-def test_a_parameter_of_an_unknown_type_is_refused(here: Process, node: Example) -> None:
+def test_a_parameter_of_an_unknown_type_is_refused(here, node):
     good = Parameter("gain", value=2.0).to_parameter_msg()
     for number, name in ((10, "gain"), (255, "no_such")):
         odd = ParameterMessage(name=name, value=ParameterValue(type=number))
@@ -196,7 +192,7 @@ def test_a_parameter_of_an_unknown_type_is_refused(here: Process, node: Example)
     assert counts(node, "errors") == {} and node.config.gain == 1.0
 
 
-def test_health_is_reported_when_a_peer_comes_or_goes(here: Process, node: Example) -> None:
+def test_health_is_reported_when_a_peer_comes_or_goes(here, node):
     here.receive(DiagnosticArray, names.DIAGNOSTICS)
     node.create_publisher(Float64, "z", 1)
 
@@ -212,8 +208,7 @@ def test_health_is_reported_when_a_peer_comes_or_goes(here: Process, node: Examp
     here.wait(lambda: is_reported("0"), "its end")
 
 
-def test_peers_are_counted_by_topic_and_end(here: Process, node: Example) -> None:
-    """Including those that no executor serves."""
+def test_peers_are_counted_by_topic_and_end(here, node):
     node.create_publisher(Float64, "z", 1)
     subscribe_directly(node, Float64, "z", QoSProfile(depth=1))
 
@@ -224,9 +219,7 @@ def test_peers_are_counted_by_topic_and_end(here: Process, node: Example) -> Non
     here.wait(met, "both")
 
 
-def test_a_configuration_that_cannot_be_taken_over_is_a_fault_until_the_next(
-    node: Example,
-) -> None:
+def test_a_configuration_that_cannot_be_taken_over_is_a_fault_until_the_next(node):
     def change(value: float) -> tuple[bool, str]:
         (result,) = node.set_parameters([Parameter("gain", value=value)])
         return result.successful, result.reason
@@ -244,7 +237,7 @@ def test_a_configuration_that_cannot_be_taken_over_is_a_fault_until_the_next(
     assert not change(-1.0)[0]
 
 
-def test_a_subscription_has_a_quality_of_service_of_its_own(node: Example) -> None:
+def test_a_subscription_has_a_quality_of_service_of_its_own(node):
     given = QoSProfile(depth=7)
     made = node.subscribe(Float64, "a", print, profile=given, raw=True)
     assert made.qos_profile.depth == 7 and made.raw
@@ -257,7 +250,7 @@ def test_a_subscription_has_a_quality_of_service_of_its_own(node: Example) -> No
     assert given.depth == 7 and sensor.qos_profile.depth == plain.qos_profile.depth
 
 
-def test_a_sensor_subscription_may_be_made_best_effort() -> None:
+def test_a_sensor_subscription_may_be_made_best_effort():
     override = "qos_overrides./left/x.subscription.reliability:=best_effort"
     with (
         isolated_domain() as domain,

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Parameters of a node from a configuration: types, ranges, files, changes at run time."""
 
-from __future__ import annotations
-
 import enum
 import math
 import sys
@@ -17,10 +15,7 @@ from bench.processes import isolated_domain
 from tactile_hand_ros.config.model import Config, param
 from tactile_hand_ros.errors import ConfigurationError
 from tactile_hand_ros.ros.middleware import ros_context
-from tactile_hand_ros.ros.parameters import (
-    ConfigParameters,
-    to_params_yaml,
-)
+from tactile_hand_ros.ros.parameters import ConfigParameters, to_params_yaml
 
 Type = Parameter.Type
 

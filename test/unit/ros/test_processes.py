@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Isolated domains, waiting, and processes that leave nothing behind."""
 
-from __future__ import annotations
-
 import os
 import signal
 import sys
@@ -24,9 +22,7 @@ from tactile_hand_ros.ros.processes import (
 
 
 @pytest.mark.parametrize("prefix", [None, "/nowhere"])
-def test_a_package_that_is_not_there_is_named(
-    monkeypatch: pytest.MonkeyPatch, prefix: str | None
-) -> None:
+def test_a_package_that_is_not_there_is_named(monkeypatch, prefix):
     monkeypatch.delenv("AMENT_PREFIX_PATH", raising=False)
     if prefix is not None:
         monkeypatch.setenv("AMENT_PREFIX_PATH", prefix)
@@ -34,12 +30,12 @@ def test_a_package_that_is_not_there_is_named(
         executable_path("plant")
 
 
-def test_an_unknown_executable_is_named_with_the_known_ones() -> None:
+def test_an_unknown_executable_is_named_with_the_known_ones():
     with pytest.raises(ExecutableError, match="'no_such_node'; choose one of composed, "):
         executable_path("no_such_node")
 
 
-def test_domains_are_never_shared_and_the_environment_is_restored() -> None:
+def test_domains_are_never_shared_and_the_environment_is_restored():
     before = os.environ.get("ROS_DOMAIN_ID")
     with isolated_domain() as first:
         assert os.environ["ROS_DOMAIN_ID"] == str(first)
@@ -49,7 +45,7 @@ def test_domains_are_never_shared_and_the_environment_is_restored() -> None:
     assert os.environ.get("ROS_DOMAIN_ID") == before
 
 
-def test_nodes_of_two_domains_do_not_meet_and_listen_on_the_loopback_address_only() -> None:
+def test_nodes_of_two_domains_do_not_meet_and_listen_on_the_loopback_address_only():
     with isolated_domain() as one, isolated_domain() as two:
         with ros_context(domain=one) as here, ros_context(domain=two) as there:
             node = rclpy.create_node("a", context=here)
@@ -66,13 +62,13 @@ def test_nodes_of_two_domains_do_not_meet_and_listen_on_the_loopback_address_onl
                 each.destroy_node()
 
 
-def test_waiting_in_vain_says_for_what() -> None:
+def test_waiting_in_vain_says_for_what():
     with pytest.raises(TimeoutError, match="timed out after 0.05 s waiting for the moon"):
         wait_until(lambda: False, 0.05, "the moon")
     assert wait_until(lambda: 3) == 3
 
 
-def test_all_that_a_process_has_started_ends_with_it_even_if_it_ignores_signals() -> None:
+def test_all_that_a_process_has_started_ends_with_it_even_if_it_ignores_signals():
     """A group whose leader was reaped gets no signal: its number may have been reused."""
     program = (
         "import os, signal, sys\n"

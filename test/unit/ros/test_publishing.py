@@ -1,30 +1,26 @@
 # SPDX-License-Identifier: Apache-2.0
 """A message is encoded once, and only if it has a subscriber."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from typing import Any
 
 import pytest
+from rclpy.context import Context
 from rclpy.node import Node
 from rclpy.serialization import serialize_message
 from std_msgs.msg import Float64
 from support.spinning import spinning
 
-from bench.processes import isolated_domain
 from tactile_hand_ros.ros import qos
-from tactile_hand_ros.ros.middleware import ros_context
 from tactile_hand_ros.ros.node import TickPublisher
 from tactile_hand_ros.ros.processes import wait_until
 
 
 @pytest.fixture
-def node() -> Iterator[Node]:
-    with isolated_domain() as domain, ros_context(domain=domain) as context:
-        made = Node("sender", namespace="left", context=context)
-        yield made
-        made.destroy_node()
+def node(context: Context) -> Iterator[Node]:
+    made = Node("sender", namespace="left", context=context)
+    yield made
+    made.destroy_node()
 
 
 class Encoder:
@@ -38,7 +34,7 @@ class Encoder:
         return serialize_message(Float64(data=value))
 
 
-def test_nothing_is_encoded_when_nobody_wants_it(node: Node) -> None:
+def test_nothing_is_encoded_when_nobody_wants_it(node):
     encode = Encoder()
     publisher = TickPublisher(node, Float64, "number", encode)
     publisher.publish(1.0)
@@ -48,7 +44,7 @@ def test_nothing_is_encoded_when_nobody_wants_it(node: Node) -> None:
     assert facts == ("/left/number", Float64, qos.PUBLISHED_DEPTH)
 
 
-def test_a_message_is_encoded_once_for_all_taps_and_subscribers(node: Node) -> None:
+def test_a_message_is_encoded_once_for_all_taps_and_subscribers(node):
     encode, tapped, received = Encoder(), [], []
     publisher = TickPublisher(node, Float64, "number", encode)
     publisher.add_tap(tapped.append)
@@ -64,7 +60,7 @@ def test_a_message_is_encoded_once_for_all_taps_and_subscribers(node: Node) -> N
     assert encode.encoded == [1.0, 2.0] and len(tapped) == 4
 
 
-def test_a_message_that_nobody_wanted_is_repeated_for_who_came_later(node: Node) -> None:
+def test_a_message_that_nobody_wanted_is_repeated_for_who_came_later(node):
     publisher, received = TickPublisher(node, Float64, "number", Encoder()), list[Any]()
     publisher.repeat()
     publisher.publish(3.0)

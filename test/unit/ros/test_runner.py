@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """How a process of nodes stops: exit code, output, and order of closing."""
 
-from __future__ import annotations
-
 import gc
 import os
 import signal
@@ -13,24 +11,17 @@ import pytest
 import rclpy
 from rclpy.node import Node
 
-from bench.processes import isolated_domain
 from tactile_hand_ros.errors import TactileHandError
 from tactile_hand_ros.nodes.force_optimizer import ForceOptimizerNode
 from tactile_hand_ros.ros import runner
 
 LOOSE = TactileHandError("the cable is loose, fix it.")
-SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
 @pytest.fixture(autouse=True)
-def _process(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+def _process(handlers: None, domain: int) -> Iterator[None]:
     """Restore the signal handlers and the garbage collector."""
-    before = {number: signal.getsignal(number) for number in SIGNALS}
-    with isolated_domain() as domain:
-        monkeypatch.setenv("ROS_DOMAIN_ID", str(domain))
-        yield
-    for number, handler in before.items():
-        signal.signal(number, handler)
+    yield
     gc.unfreeze()
 
 
@@ -80,9 +71,7 @@ def send(*numbers: int) -> Callable[[], None]:
     ],
 )
 @pytest.mark.usefixtures("hangups_count")
-def test_the_exit_code_follows_from_what_stops_the_nodes(
-    action: Any, code: int, printed: str, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_the_exit_code_follows_from_what_stops_the_nodes(action, code, printed, capfd):
     assert runner.run_node(lambda: Example(action), ["program"]) == code
     captured = capfd.readouterr()
     assert captured.out == "close a\n"
@@ -91,9 +80,7 @@ def test_the_exit_code_follows_from_what_stops_the_nodes(
     assert not rclpy.ok()
 
 
-def test_a_closed_terminal_does_not_stop_nodes_that_ignore_it(
-    capfd: pytest.CaptureFixture[str],
-) -> None:
+def test_a_closed_terminal_does_not_stop_nodes_that_ignore_it(capfd):
     signal.signal(signal.SIGHUP, signal.SIG_IGN)
     actions = iter([send(signal.SIGHUP), rclpy.shutdown])
     done: list[int] = []
@@ -110,9 +97,7 @@ def test_a_closed_terminal_does_not_stop_nodes_that_ignore_it(
     ("closing", "code", "printed"),
     [(None, 0, ""), (LOOSE, 1, "the cable is loose"), (KeyError("x"), 1, "KeyError: 'x'")],
 )
-def test_nodes_are_closed_in_reverse_whatever_happens(
-    closing: Exception | None, code: int, printed: str, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_nodes_are_closed_in_reverse_whatever_happens(closing, code, printed, capfd):
     def both() -> Iterator[Node]:
         yield Example(rclpy.shutdown, "a")
         yield Example(rclpy.shutdown, "b", closing)
@@ -122,9 +107,7 @@ def test_nodes_are_closed_in_reverse_whatever_happens(
     assert captured.out == "close b\nclose a\n" and printed in captured.err
 
 
-def test_a_node_that_cannot_be_made_closes_those_before_it(
-    capfd: pytest.CaptureFixture[str],
-) -> None:
+def test_a_node_that_cannot_be_made_closes_those_before_it(capfd):
     def both() -> Iterator[Node]:
         yield Example(rclpy.shutdown)
         raise LOOSE
@@ -135,9 +118,7 @@ def test_a_node_that_cannot_be_made_closes_those_before_it(
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
-def test_a_signal_before_rclpy_handles_it_stops_the_process(
-    monkeypatch: pytest.MonkeyPatch, number: int
-) -> None:
+def test_a_signal_before_rclpy_handles_it_stops_the_process(monkeypatch, number):
     monkeypatch.setattr(runner, "use_sockets", lambda: signal.raise_signal(number))
     assert runner.run_node(lambda: pytest.fail("no node is made"), ["program"]) == 0
 
@@ -151,18 +132,14 @@ def test_a_signal_before_rclpy_handles_it_stops_the_process(
         (["--ros-args", "-r", "x"], 2, "the ROS arguments cannot be used: "),
     ],
 )
-def test_arguments_are_explained_or_rejected_in_a_sentence(
-    words: list[str], code: int, printed: str, capfd: pytest.CaptureFixture[str]
-) -> None:
-    assert runner.run_node(Example, ["program", *words]) == code  # type: ignore[arg-type]
+def test_arguments_are_explained_or_rejected_in_a_sentence(words, code, printed, capfd):
+    assert runner.run_node(Example, ["program", *words]) == code
     captured = capfd.readouterr()
     assert printed in (captured.err if code else captured.out)
     assert "src/" not in captured.err
 
 
-def test_a_wrong_parameter_ends_the_start_with_a_sentence(
-    capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_wrong_parameter_ends_the_start_with_a_sentence(capfd, monkeypatch):
     words = "unknown parameter 'minimum_norma', did you mean 'minimum_normal'"
     argv = ["program", "--ros-args", "-p", "minimum_norma:=1.0"]
     monkeypatch.setattr("sys.argv", argv)

@@ -11,11 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tactile_hand_ros.errors import ConfigurationError
-from tactile_hand_ros.ros.scheduling import (
-    Scheduling,
-    take_scheduling,
-    yield_while_resending,
-)
+from tactile_hand_ros.ros.scheduling import Scheduling, take_scheduling, yield_while_resending
 
 
 @given(st.integers(0, 99))
@@ -31,13 +27,7 @@ def test_other_words_are_left_alone():
 
 
 @pytest.mark.parametrize(
-    "words",
-    [
-        ["--priority"],
-        ["--priority", "100"],
-        ["--priority", "-1"],
-        ["--priority=high"],
-    ],
+    "words", [["--priority"], ["--priority", "100"], ["--priority", "-1"], ["--priority=high"]]
 )
 def test_nonsense_is_refused(words):
     with pytest.raises(ConfigurationError, match=words[0].partition("=")[0]):

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Ticks are complete, ordered, of one timestamp; slow nodes catch up; two senders are detected."""
 
-from __future__ import annotations
-
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -128,7 +126,7 @@ def answered(batches: list[list[int]], previous: int | None = None) -> list[list
     return out
 
 
-def test_the_tick_before_those_that_wait_counts_and_the_first_of_all_has_none() -> None:
+def test_the_tick_before_those_that_wait_counts_and_the_first_of_all_has_none():
     assert answered([[16], [17, 18], [19, 20]]) == [[16], [18], [20]]  # 17 does not start a stretch
     assert answered([[21, 22]]) == [[21, 22]]
 
@@ -137,9 +135,7 @@ SIZES = st.lists(st.integers(1, 12), min_size=1, max_size=8)
 
 
 @given(st.integers(0, 10**5), SIZES, SIZES, st.integers(1, 10))
-def test_slow_nodes_meet_however_they_lag(
-    first: int, one: list[int], other: list[int], period: int
-) -> None:
+def test_slow_nodes_meet_however_they_lag(first, one, other, period):
     stamps = [(first + period * i) * MS for i in range(500)]
     lag = period * max(*one, *other)  # of the oldest waiting tick, plus one period
     stretch = (1 << lag.bit_length()) * MS
@@ -161,12 +157,12 @@ class Topic:
         return [self.check.note({"publication_sequence_number": number}) for number in numbers]
 
 
-def test_one_sender_may_repeat_ticks_and_lose_messages() -> None:
+def test_one_sender_may_repeat_ticks_and_lose_messages():
     """For any timestamps: a driver with a slow clock may repeat one for several samples."""
     assert not any(Topic().bring(5, 6, 7, 10, 11, 40))
 
 
-def test_a_successor_is_let_in_at_once_also_after_a_conflict() -> None:
+def test_a_successor_is_let_in_at_once_also_after_a_conflict():
     topic = Topic()
     assert not any(topic.bring(100, 101, 1, 2, 3))
     assert topic.bring(102, 4, 103, 5)[-1] and topic.check.conflicts == 2
@@ -175,7 +171,7 @@ def test_a_successor_is_let_in_at_once_also_after_a_conflict() -> None:
     assert not any(topic.bring(1, 2, 3))  # the driver has been restarted
 
 
-def test_two_senders_in_turn_are_in_conflict_until_half_a_second_is_over() -> None:
+def test_two_senders_in_turn_are_in_conflict_until_half_a_second_is_over():
     for first, second in ((100, 1), (1, 100), (7, 7)):
         topic = Topic()
         sent = [number for n in range(4) for number in (first + n, second + n)]
@@ -186,13 +182,13 @@ def test_two_senders_in_turn_are_in_conflict_until_half_a_second_is_over() -> No
         assert not topic.check.in_conflict
 
 
-def test_two_restarts_half_a_second_apart_are_no_conflict() -> None:
+def test_two_restarts_half_a_second_apart_are_no_conflict():
     topic = Topic()
     topic.bring(9, 10, 1)
     topic.now += 0.5
     assert not any(topic.bring(2, 1, 2))
 
 
-def test_without_numbers_nothing_is_found() -> None:
+def test_without_numbers_nothing_is_found():
     topic = Topic()
     assert not any(topic.bring(None, None, None)) and not topic.check.note({})

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A drop is the moment from which fewer than two fingers touch until the end."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -38,18 +36,18 @@ def touched(*fingers: int) -> Record:
         ((), math.nan),
     ],
 )
-def test_a_drop_is_for_good(fingers: tuple[int, ...], time: float) -> None:
+def test_a_drop_is_for_good(fingers, time):
     assert dropped_at(touched(*fingers)) == pytest.approx(time, nan_ok=True)
 
 
-def test_what_is_let_go_is_not_dropped() -> None:
+def test_what_is_let_go_is_not_dropped():
     assert math.isnan(dropped_at(touched(3, 3, 0), releases=[0.1]))
     assert dropped_at(touched(3, 3, 0, 0), releases=[0.3]) == pytest.approx(0.2)
     lost = touched(3, 3, 0)
     assert math.isnan(dropped_at(lost, releases=[float(lost.times[2])]))
 
 
-def test_after_a_drop_there_is_no_pose_error() -> None:
+def test_after_a_drop_there_is_no_pose_error():
     """The last observed pose does not apply to a dropped object."""
     record = touched(3, 3, 1, 1)
     record.desired_position[:], record.auxiliary_position[:] = 0.0, [0.0, 0.0, 0.1]
@@ -62,7 +60,7 @@ def test_after_a_drop_there_is_no_pose_error() -> None:
     np.testing.assert_allclose(pose_errors(record, math.nan)[0], 0.1)
 
 
-def test_ticks_that_were_not_recorded_are_no_drop() -> None:
+def test_ticks_that_were_not_recorded_are_no_drop():
     record = touched(3, 3, 0, 0)
     record.forces[2:] = np.nan
     assert math.isnan(dropped_at(record))
@@ -78,9 +76,7 @@ def dropped() -> tuple[Record, Scenario]:
     return ClosedLoop(scenario).run(), scenario
 
 
-def test_the_pull_without_slip_prevention_is_called_a_drop(
-    dropped: tuple[Record, Scenario],
-) -> None:
+def test_the_pull_without_slip_prevention_is_called_a_drop(dropped):
     m = metrics(*dropped)
     assert 2.0 < m.dropped_at_s < 2.5
     assert m.goal_reached is False
@@ -90,7 +86,7 @@ def test_the_pull_without_slip_prevention_is_called_a_drop(
     assert [each.time for each in found] == [m.dropped_at_s]
 
 
-def test_the_figure_shows_the_hand_and_not_the_fall(dropped: tuple[Record, Scenario]) -> None:
+def test_the_figure_shows_the_hand_and_not_the_fall(dropped):
     from tactile_hand_ros.report.scene import grasp_figure
 
     figure = grasp_figure(*dropped)

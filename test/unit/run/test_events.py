@@ -1,21 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """Events are found at the right ticks."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
 from tactile_hand_ros.closed_loop.record import Record
 from tactile_hand_ros.control.slip.detector import ContactState
-from tactile_hand_ros.run.events import (
-    Asked,
-    Event,
-    alarm_count,
-    asked_events,
-    events,
-    slip_count,
-)
+from tactile_hand_ros.run.events import Asked, Event, alarm_count, asked_events, events, slip_count
 from tactile_hand_ros.scenario.scenario import load_scenario
 
 
@@ -36,11 +27,11 @@ def told(record: Record, kind: str) -> list[tuple[float, str]]:
     return [(e.time, e.finger) for e in events(record) if e.kind == kind]
 
 
-def test_a_quiet_run_has_its_first_command_only(record: Record) -> None:
+def test_a_quiet_run_has_its_first_command_only(record):
     assert events(record) == [Event(0.0, "command", "", "a new pose is commanded")]
 
 
-def test_slip_its_detection_and_the_reaction(record: Record) -> None:
+def test_slip_its_detection_and_the_reaction(record):
     record.true_sliding[30:40, 0] = 0.002
     record.grip[33:38, 0] = ContactState.SLIP
     record.grasp_force[35:] = 12.0
@@ -49,7 +40,7 @@ def test_slip_its_detection_and_the_reaction(record: Record) -> None:
     assert told(record, "reaction") == [(pytest.approx(0.35), "")]
 
 
-def test_contacts_lost_and_made(record: Record) -> None:
+def test_contacts_lost_and_made(record):
     record.contact_positions[50:60, 1] = np.nan
     assert told(record, "contact_lost") == [(pytest.approx(0.5), "ring_finger")]
     assert told(record, "contact_made") == [(pytest.approx(0.6), "ring_finger")]
@@ -57,13 +48,13 @@ def test_contacts_lost_and_made(record: Record) -> None:
     assert text == "ring finger loses contact"
 
 
-def test_new_poses(record: Record) -> None:
+def test_new_poses(record):
     record.desired_position[:10] = np.nan
     record.desired_position[70:] = [0.0, 0.1, 0.0]
     assert [time for time, _ in told(record, "command")] == pytest.approx([0.1, 0.7])
 
 
-def test_slip_is_faster_than_a_millimetre_a_second(record: Record) -> None:
+def test_slip_is_faster_than_a_millimetre_a_second(record):
     record.true_sliding[30:40, 0] = 1e-3
     assert told(record, "slip") == [] and slip_count(record) == 0
     record.true_sliding[30:40, 0] = record.true_sliding[60:70, 1] = np.nextafter(1e-3, 1.0)
@@ -72,13 +63,13 @@ def test_slip_is_faster_than_a_millimetre_a_second(record: Record) -> None:
 
 
 @pytest.mark.parametrize(("pause", "count"), [(1, 1), (2, 1), (3, 2)])
-def test_what_begins_again_within_20_ms_is_the_same(record: Record, pause: int, count: int) -> None:
+def test_what_begins_again_within_20_ms_is_the_same(record, pause, count):
     record.stamps[:] = 2**23 * np.arange(101)  # 8.4 ms, so that 20 ms lie between ticks
     record.grip[20:25, 1] = record.grip[25 + pause : 40, 1] = ContactState.SLIP
     assert len(told(record, "detection")) == alarm_count(record) == count
 
 
-def test_alarms_of_all_fingers_are_counted(record: Record) -> None:
+def test_alarms_of_all_fingers_are_counted(record):
     record.grip[20:25, 0] = record.grip[22:30, 1] = record.grip[60, 0] = ContactState.SLIP
     assert alarm_count(record) == 3
     # Events at the first tick do not count as new; one right after it is the same event.
@@ -91,9 +82,8 @@ def test_alarms_of_all_fingers_are_counted(record: Record) -> None:
     [(33, 12.0, 1), (58, 12.0, 1), (59, 12.0, 0), (40, 10.2, 0), (40, 10.21, 1)],
 )
 def test_a_reaction_is_a_rise_by_two_percent_within_a_quarter_of_a_second(
-    record: Record, row: int, force: float, count: int
-) -> None:
-    """It is relative to the grasp force before the alarm."""
+    record, row, force, count
+):
     record.grip[33:38, 0] = ContactState.SLIP
     record.grasp_force[row:] = force
     found = [each for each in events(record) if each.kind == "reaction"]
@@ -101,13 +91,13 @@ def test_a_reaction_is_a_rise_by_two_percent_within_a_quarter_of_a_second(
     assert all(each.text == "the grasp force rises above 10 N" for each in found)
 
 
-def test_an_alarm_at_the_first_ticks_is_measured_against_the_first(record: Record) -> None:
+def test_an_alarm_at_the_first_ticks_is_measured_against_the_first(record):
     record.grip[1:5, 0] = ContactState.SLIP
     record.grasp_force[1:] = 12.0
     assert [time for time, _ in told(record, "reaction")] == [pytest.approx(0.01)]
 
 
-def test_a_contact_that_was_lost_in_the_dark_is_lost_when_touch_is_back(record: Record) -> None:
+def test_a_contact_that_was_lost_in_the_dark_is_lost_when_touch_is_back(record):
     """Before touch has reported anything, no contact is lost."""
     record.contact_positions[:3] = record.forces[:3] = np.nan
     record.contact_positions[50:60] = record.forces[50:60] = np.nan
@@ -119,7 +109,7 @@ def test_a_contact_that_was_lost_in_the_dark_is_lost_when_touch_is_back(record: 
     assert text == "no data was recorded for 0.11 s"
 
 
-def test_a_drop_and_pushes_stand_in_their_order(record: Record) -> None:
+def test_a_drop_and_pushes_stand_in_their_order(record):
     pushes = [
         {"kind": "step", "start": 0.5, "force": [0.0, 0.0, 0.0], "torque": [0.0, 0.6, 0.8]},
         {"kind": "step", "start": 0.25, "force": [2.0, 0.0, 0.0], "torque": [0.5, 0.0, 0.0]},
@@ -143,7 +133,7 @@ def test_a_drop_and_pushes_stand_in_their_order(record: Record) -> None:
     assert [each.time for each in cut_short if each.kind == "disturbance"] == [2.0]
 
 
-def test_calls_and_refusals_are_told_with_what_was_asked() -> None:
+def test_calls_and_refusals_are_told_with_what_was_asked():
     calls = [Asked(0, "enable", "true"), Asked(0, "reset", ""), Asked(2 * 10**9, "enable", "false")]
     refusals = [Asked(5 * 10**8, "desired_pose", "out of reach")]
     assert asked_events(calls, refusals) == [

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A gap is several missing ticks, or several without touch messages."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -20,9 +18,7 @@ def recorded(*steps: int) -> Record:
 
 
 @pytest.mark.parametrize(("step", "found"), [(5, []), (6, [(3, 4)]), (500, [(3, 4)])])
-def test_more_than_five_periods_without_a_tick_are_a_gap(
-    step: int, found: list[tuple[int, int]]
-) -> None:
+def test_more_than_five_periods_without_a_tick_are_a_gap(step, found):
     assert gaps(recorded(1, 1, 1, step, 1, 1)) == found
 
 
@@ -38,27 +34,27 @@ def test_more_than_five_periods_without_a_tick_are_a_gap(
         (slice(0, 30), []),  # no touch at all
     ],
 )
-def test_five_ticks_of_silence_are_a_gap(quiet: slice, found: list[tuple[int, int]]) -> None:
+def test_five_ticks_of_silence_are_a_gap(quiet, found):
     record = recorded(*29 * [1])
     record.contact_positions[quiet] = record.forces[quiet] = np.nan
     assert gaps(record) == found
 
 
-def test_gaps_of_both_kinds_come_in_their_order() -> None:
+def test_gaps_of_both_kinds_come_in_their_order():
     record = recorded(*10 * [1], 100, *10 * [1], 100, *10 * [1])
     record.contact_positions[12:18] = record.forces[12:18] = np.nan
     assert gaps(record) == [(10, 11), (11, 18), (21, 22)]
 
 
 @pytest.mark.parametrize("count", [0, 1, 2])
-def test_two_ticks_have_no_gap(count: int) -> None:
+def test_two_ticks_have_no_gap(count):
     record = Record.empty(count, ["a"], ["j"])
     record.stamps[:] = 10**9 * np.arange(count)
     assert gaps(record) == []
     assert gaps(recorded(100, 1, 1)) == [(0, 1)]
 
 
-def test_touch_is_silent_without_places_and_with_forces_that_do_not_belong_to_them() -> None:
+def test_touch_is_silent_without_places_and_with_forces_that_do_not_belong_to_them():
     record = recorded(1, 1, 1, 1, 1, 1)
     nan = np.nan
     record.contact_positions[1:6] = nan

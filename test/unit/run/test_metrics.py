@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Metrics of records that can be computed by hand."""
 
-from __future__ import annotations
-
 import json
 import math
 
@@ -52,7 +50,7 @@ def scenario(position: float = 0.01, rotation: float = 0.1) -> Scenario:
     return Scenario(goal={"position_error": position, "rotation_error": rotation})
 
 
-def test_a_perfect_run() -> None:
+def test_a_perfect_run():
     m = metrics(still_record(), scenario())
     assert (m.ticks, m.simulated_time_s, m.settling_time_s) == (11, 1.0, 0.0)
     assert m.final_position_error_m == m.final_rotation_error_rad == 0.0
@@ -63,7 +61,7 @@ def test_a_perfect_run() -> None:
     assert m.goal_reached is True
 
 
-def test_final_errors() -> None:
+def test_final_errors():
     record = still_record()
     record.auxiliary_position[-1] = (0.003, 0.0, -0.004)
     record.auxiliary_quaternion[-1] = turned(0.2)
@@ -73,8 +71,8 @@ def test_final_errors() -> None:
     assert m.goal_reached is None
 
 
-@pytest.mark.parametrize(("slid", "reached"), [(0.009, True), (0.011, False), (np.nan, True)])
-def test_goal_of_not_slipping(slid: float, reached: bool) -> None:
+@pytest.mark.parametrize(("slid", "reached"), [(0.01, True), (0.0101, False), (np.nan, True)])
+def test_goal_of_not_slipping(slid, reached):
     """Unknown slip does not count against the run."""
     record = still_record()
     record.true_slid[:] = 0.0
@@ -85,7 +83,7 @@ def test_goal_of_not_slipping(slid: float, reached: bool) -> None:
     assert m.max_slip_distance_m == pytest.approx(np.nan_to_num(slid))
 
 
-def test_before_a_command_the_first_pose_that_is_known_is_the_desired_one() -> None:
+def test_before_a_command_the_first_pose_that_is_known_is_the_desired_one():
     record = still_record()
     record.desired_position[:] = record.desired_quaternion[:] = np.nan
     record.auxiliary_position[:, 0] = [np.nan, np.nan, *(0.25 * np.arange(9.0))]
@@ -96,7 +94,7 @@ def test_before_a_command_the_first_pose_that_is_known_is_the_desired_one() -> N
     assert metrics(record).final_rotation_error_rad == pytest.approx(expected)
 
 
-def test_without_touch_the_true_forces_count() -> None:
+def test_without_touch_the_true_forces_count():
     record = still_record()
     record.true_forces[:] = 3.0
     assert derived.contact_forces(record) is record.forces
@@ -106,7 +104,7 @@ def test_without_touch_the_true_forces_count() -> None:
     assert derived.contact_forces(record) is record.true_forces
 
 
-def test_friction_is_required_where_place_and_force_of_a_contact_are_known() -> None:
+def test_friction_is_required_where_place_and_force_of_a_contact_are_known():
     record = still_record()
     record.forces[:] = [0.3, 1.0, 0.4]
     record.contact_positions[2, 1] = np.nan
@@ -124,7 +122,7 @@ def test_friction_is_required_where_place_and_force_of_a_contact_are_known() -> 
         ([5.5, 3.0, np.nan], np.nan, np.nan),
     ],
 )
-def test_forces(forces: list[float], worst: float, total: float) -> None:
+def test_forces(forces, worst, total):
     """The worst value is unknown if any finger's is unknown."""
     record = still_record()
     record.forces[-1, :, 1] = forces
@@ -138,8 +136,7 @@ def test_forces(forces: list[float], worst: float, total: float) -> None:
     assert m.peak_normal_force_N == 50.0
 
 
-def test_lost_contacts() -> None:
-    """Ticks without messages do not count."""
+def test_lost_contacts():
     record = still_record()
     record.contact_positions[6:8, 1] = record.contact_positions[7, 2] = np.nan
     record.forces[6:8, 1] = 0.0
@@ -149,7 +146,7 @@ def test_lost_contacts() -> None:
     assert m.max_required_friction["b"] == 0.0
 
 
-def test_an_object_that_was_lost() -> None:
+def test_an_object_that_was_lost():
     """The final values are unknown: no number is made up, and the goal is not reached."""
     record = still_record()
     for array in (record.contact_positions, record.auxiliary_position, record.optimal_forces):
@@ -168,14 +165,13 @@ def test_an_object_that_was_lost() -> None:
     json.dumps(plain, allow_nan=False)
 
 
-def test_peak_rate() -> None:
+def test_peak_rate():
     record = still_record()
     record.rates[2, 1], record.rates[3] = -0.7, np.nan
     assert metrics(record).peak_joint_rate_rad_per_s == 0.7
 
 
-def test_what_turns_as_one_neither_moves_in_the_grasp_nor_rolls() -> None:
-    """About another axis at every tick, with an object that is tilted in the hand."""
+def test_what_turns_as_one_neither_moves_in_the_grasp_nor_rolls():
     record, random = still_record(), np.random.default_rng(7)
     askew, place, spots = rotation_from_vector([0.5, -0.9, 0.2]), random.normal(size=3), np.eye(3)
     for tick in range(len(record)):
@@ -189,7 +185,7 @@ def test_what_turns_as_one_neither_moves_in_the_grasp_nor_rolls() -> None:
     assert max(moved.max(), turned_by.max(), derived.rolling(record).max()) < 1e-13
 
 
-def test_motion_in_the_grasp_counts_from_the_first_tick_at_which_it_is_known() -> None:
+def test_motion_in_the_grasp_counts_from_the_first_tick_at_which_it_is_known():
     record = still_record()
     record.object_position[:], record.object_quaternion[:] = 0.0, STRAIGHT
     record.object_position[:2] = record.object_quaternion[1] = np.nan
@@ -204,7 +200,7 @@ def test_motion_in_the_grasp_counts_from_the_first_tick_at_which_it_is_known() -
     assert derived.motion_in_grasp(record)[1][5] == pytest.approx(math.pi)
 
 
-def test_contacts_that_roll_over_the_object() -> None:
+def test_contacts_that_roll_over_the_object():
     record = still_record()
     record.object_position[:] = np.linspace(0.0, 1.0, len(record))[:, None]
     record.object_quaternion[:] = STRAIGHT
@@ -223,7 +219,7 @@ def test_contacts_that_roll_over_the_object() -> None:
     assert unknown.shape == (11, 3) and np.isnan(unknown).all()
 
 
-def test_records_that_hold_next_to_nothing() -> None:
+def test_records_that_hold_next_to_nothing():
     m = metrics(still_record(1), scenario())
     assert (m.ticks, m.simulated_time_s, m.goal_reached) == (1, 0.0, True)
     m = metrics(Record.empty(3, [], ["j1"]))
@@ -234,7 +230,7 @@ def test_records_that_hold_next_to_nothing() -> None:
 
 @settings(max_examples=50)
 @given(st.integers(0, 2**32 - 1))
-def test_rotation_error_is_that_of_the_laws(seed: int) -> None:
+def test_rotation_error_is_that_of_the_laws(seed):
     random = np.random.default_rng(seed)
     record = still_record(2)
     record.auxiliary_quaternion[:] = random.normal(size=(2, 4))
@@ -246,15 +242,12 @@ def test_rotation_error_is_that_of_the_laws(seed: int) -> None:
     np.testing.assert_allclose(derived.rotation_error(record), expected, atol=1e-14)
 
 
-def test_plain_data_for_json() -> None:
-    given = {"a": [1.0, math.nan, (math.inf, 2)], "b": {"c": -math.inf, "d": None, "e": True}}
-    assert json_ready(given) == {
-        "a": [1.0, None, [None, 2]],
-        "b": {"c": None, "d": None, "e": True},
-    }
+def test_plain_data_for_json():
+    data = {"a": [1.0, math.nan, (math.inf, 2)], "b": {"c": -math.inf, "d": None, "e": True}}
+    assert json_ready(data) == {"a": [1.0, None, [None, 2]], "b": {"c": None, "d": None, "e": True}}
 
 
-def test_settling_counts_from_the_last_command_to_the_last_tick_outside() -> None:
+def test_settling_counts_from_the_last_command_to_the_last_tick_outside():
     record = still_record()
     record.auxiliary_position[[1, 3, 4, 7], 0] = 1.0
     assert metrics(record, scenario()).settling_time_s == pytest.approx(0.8)
@@ -268,17 +261,14 @@ def test_settling_counts_from_the_last_command_to_the_last_tick_outside() -> Non
     assert math.isnan(metrics(record, scenario()).settling_time_s)
 
 
-def test_errors_may_be_as_large_as_the_goal() -> None:
+def test_errors_may_be_as_large_as_the_goal():
     record = still_record()
     record.auxiliary_position[-1, 0] = 0.25
     assert metrics(record, scenario(position=0.25)).goal_reached is True
     assert metrics(record, scenario(position=0.2499)).goal_reached is False
-    record = still_record()
-    record.true_slid[:] = 0.25
-    assert metrics(record, Scenario(goal={"slip_distance": 0.25})).goal_reached is True
 
 
-def test_peaks_of_friction_count_from_20_ms_on() -> None:
+def test_peaks_of_friction_count_from_20_ms_on():
     record = still_record()
     record.stamps[:] = np.arange(11) * 10_000_000 + SECOND
     record.forces[1, 0], record.forces[2, 1] = (50.0, 10.0, 0.0), (6.0, 10.0, 8.0)

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A run on disk yields the recorded arrays, and reports its defects."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import fields
 from pathlib import Path
@@ -41,7 +39,7 @@ def tick_only(bag: RunWriter, stamp: int, at: int) -> None:
 
 class TestRecord:
     @pytest.mark.parametrize("truth", [True, False])
-    def test_is_what_was_recorded(self, tmp_path: Path, truth: bool) -> None:
+    def test_is_what_was_recorded(self, tmp_path, truth):
         """A real hand has no ground truth, and its bag is complete without it."""
         record = random_record(truth=truth)
         run = Run(write_record(tmp_path / "bag", record))
@@ -49,7 +47,7 @@ class TestRecord:
         assert np.isnan(run.metrics.max_object_displacement_in_grasp_m) != truth
         assert run.bag_metrics.complete
 
-    def test_in_a_namespace(self, tmp_path: Path) -> None:
+    def test_in_a_namespace(self, tmp_path):
         left, right = random_record(seed=1), random_record(seed=2)
         with RunWriter(tmp_path / "bag") as bag:
             for row in range(len(left)):
@@ -60,7 +58,7 @@ class TestRecord:
         with pytest.raises(BagError, match="left, right"):
             Run(tmp_path / "bag")
 
-    def test_a_message_counts_at_the_tick_of_its_stamp_only(self, tmp_path: Path) -> None:
+    def test_a_message_counts_at_the_tick_of_its_stamp_only(self, tmp_path):
         with RunWriter(tmp_path / "bag") as bag:
             for tick in (0, 10, 20):
                 tick_only(bag, tick, tick)
@@ -71,7 +69,7 @@ class TestRecord:
         np.testing.assert_array_equal(record.theta, [[1.0, 2.0]] * 3)
         assert np.isnan(record.rates).all() and record.forces.shape == (3, 0, 3)
 
-    def test_repeated_ticks_count_once(self, tmp_path: Path) -> None:
+    def test_repeated_ticks_count_once(self, tmp_path):
         with RunWriter(tmp_path / "bag") as bag:
             for at, tick in enumerate([0, 2, 2, 2, 4]):
                 tick_only(bag, tick, at)
@@ -80,8 +78,7 @@ class TestRecord:
         assert run.bag_metrics.repeated_ticks == 2
         assert run.earlier == []
 
-    def test_no_contact_has_no_frame_either(self, tmp_path: Path) -> None:
-        """The frame of a missing contact is ignored."""
+    def test_no_contact_has_no_frame_either(self, tmp_path):
         record = random_record()
         record.contact_positions[3, 1] = np.nan
         record.contact_positions[4, 2, 0] = np.nan
@@ -90,7 +87,7 @@ class TestRecord:
         record.contact_quaternions[3, 1] = np.nan
         assert_same(seen, record)
 
-    def test_joints_may_be_named_in_any_order(self, tmp_path: Path) -> None:
+    def test_joints_may_be_named_in_any_order(self, tmp_path):
         """The order of the first message counts; a message with other joints is ignored."""
         with RunWriter(tmp_path / "bag") as bag:
             for at, order in enumerate((["b", "a"], ["a", "b"], ["a", "b"])):
@@ -102,7 +99,7 @@ class TestRecord:
         np.testing.assert_array_equal(record.theta, [[1.0, 5.0], [5.0, 2.0], [5.0, 3.0]])
         np.testing.assert_array_equal(record.command, [[10.0, 20.0], [10.0, 20.0], [np.nan] * 2])
 
-    def test_fingers_may_be_named_in_any_order(self, tmp_path: Path) -> None:
+    def test_fingers_may_be_named_in_any_order(self, tmp_path):
         order = ["finger_2", "finger_1"]
         values = {"position": [0.2, 0.1], "velocity": [0.4, 0.3], "effort": [2.0, 1.0]}
         with RunWriter(tmp_path / "bag") as bag:
@@ -119,14 +116,13 @@ class TestRecord:
         np.testing.assert_array_equal(record.true_slid, [unknown, [1e-3, 2e-3]])
         np.testing.assert_array_equal(record.true_sliding, [unknown, [0.1, 0.2]])
 
-    def test_contacts_of_another_number_of_fingers_are_unknown(self, tmp_path: Path) -> None:
+    def test_contacts_of_another_number_of_fingers_are_unknown(self, tmp_path):
         record = random_record()
         with RunWriter(tmp_path / "bag") as bag:
             write_tick(bag, record, 0, START)
         assert np.isnan(Run(tmp_path / "bag", fingers=["finger_1"]).record.contact_positions).all()
 
-    def test_fingers_are_in_the_order_of_the_scenario(self, tmp_path: Path) -> None:
-        """Names of another hand are not used."""
+    def test_fingers_are_in_the_order_of_the_scenario(self, tmp_path):
         record = random_record()
         said = {"scenario": resolved(load_scenario("paper"))}
         run = Run(write_record(tmp_path / "bag", record, custom_data=said))
@@ -149,9 +145,7 @@ class TestDesiredPose:
             ([(50, 1.0)], [-1.0] * 5),
         ],
     )
-    def test_holds_from_its_tick_on(
-        self, poses: list[tuple[int, float]], in_force: list[float], tmp_path: Path
-    ) -> None:
+    def test_holds_from_its_tick_on(self, poses, in_force, tmp_path):
         """Each pose is given by its effective tick and its x."""
         with RunWriter(tmp_path / "bag") as bag:
             for row in range(5):
@@ -169,21 +163,20 @@ class TestFolders:
         write_record(tmp_path / "run" / "bag", random_record())
         return tmp_path / "run"
 
-    def test_run_bag_and_file_are_the_same(self, folder: Path) -> None:
+    def test_run_bag_and_file_are_the_same(self, folder):
         (folder.parent / "latest").symlink_to(folder.name)
         bag = folder / "bag"
         for path in (folder, bag, bag / "bag_0.mcap", str(folder.parent / "latest")):
             assert len(Run(path).record) == 20
 
-    def test_scenario_beside_the_bag(self, folder: Path) -> None:
+    def test_scenario_beside_the_bag(self, folder):
         assert Run(folder).scenario is None and Run(folder).metrics.goal_reached is None
         (folder / "scenario.yaml").write_text(resolved(load_scenario("pinch")))
         for path in (folder, folder / "bag"):
             assert Run(path).scenario == load_scenario("pinch")
         assert Run(folder).metrics.goal_reached is False
 
-    def test_scenario_of_another_version(self, folder: Path) -> None:
-        """The recorded arrays are available nevertheless."""
+    def test_scenario_of_another_version(self, folder):
         (folder / "scenario.yaml").write_text("duratoin: 3.0\n")
         run = Run(folder)
         assert "scenario.yaml: unknown key 'duratoin'" in run.scenario_problem
@@ -191,9 +184,7 @@ class TestFolders:
         assert run.metrics.goal_reached is None
 
     @pytest.mark.parametrize("case", ["unknown", "known", "lost", "other"])
-    def test_assumptions_are_those_of_a_hand_that_is_known(
-        self, case: str, folder: Path, tmp_path: Path
-    ) -> None:
+    def test_assumptions_are_those_of_a_hand_that_is_known(self, case, folder, tmp_path):
         """If the hand's file is missing or different, the topics define the fingers."""
         text = resolved(load_scenario("paper"))
         problem = ""
@@ -212,21 +203,21 @@ class TestFolders:
         assert len(run.assumptions) == (9 if case == "known" else 0)
         assert problem in run.assumptions_problem and bool(problem) == bool(run.assumptions_problem)
 
-    def test_without_a_bag(self, tmp_path: Path) -> None:
+    def test_without_a_bag(self, tmp_path):
         with pytest.raises(BagError, match="nowhere does not exist"):
             Run(tmp_path / "nowhere")
         (tmp_path / "scenario.yaml").write_text("")
         with pytest.raises(BagError, match="has no folder bag/"):
             Run(tmp_path)
 
-    def test_bag_with_a_silent_hand(self, tmp_path: Path) -> None:
+    def test_bag_with_a_silent_hand(self, tmp_path):
         with RunWriter(tmp_path / "bag") as bag:
             bag.bag.add_channel("/joint_states", "sensor_msgs/msg/JointState")
         with pytest.raises(BagError, match="contains no ticks"):
             Run(tmp_path / "bag")
 
 
-def test_bag_metrics(tmp_path: Path) -> None:
+def test_bag_metrics(tmp_path):
     """Twenty ticks, one of them unanswered and another without k_f."""
     record = random_record()
     with RunWriter(tmp_path / "bag") as bag:
@@ -255,22 +246,16 @@ def test_bag_metrics(tmp_path: Path) -> None:
     assert json.loads(json.dumps(m.to_dict()))["topics"]["/grasp_force"]["messages"] == 18
 
 
-def test_absent_topics_are_named(tmp_path: Path) -> None:
+def test_absent_topics_are_named(tmp_path):
     with RunWriter(tmp_path / "bag") as bag:
         tick_only(bag, 0, 0)
     m = Run(tmp_path / "bag", fingers=["thumb"]).bag_metrics
-    assert m.absent == [
-        "/joint_command",
-        "/tactile/contacts",
-        "/grasp_force",
-        "/grip_state",
-        "/tactile/thumb/wrench",
-        "/optimal_force/thumb",
-    ]
+    of_the_hand = "/joint_command /tactile/contacts /grasp_force /grip_state".split()
+    assert m.absent == [*of_the_hand, "/tactile/thumb/wrench", "/optimal_force/thumb"]
     assert not m.complete and np.isnan(m.ticks_per_second)
 
 
-def test_columns_for_tables(tmp_path: Path) -> None:
+def test_columns_for_tables(tmp_path):
     record = random_record()
     named = columns(record)
     assert named["forces.finger_2.y"] is not None
@@ -282,7 +267,7 @@ def test_columns_for_tables(tmp_path: Path) -> None:
     assert len(named) == sum(array[0].size for array in arrays)
 
 
-def test_each_reset_begins_a_section_with_its_own_messages(tmp_path: Path) -> None:
+def test_each_reset_begins_a_section_with_its_own_messages(tmp_path):
     """A node may publish a message of a new section just before its first tick is logged."""
     ms = 1_000_000
     with RunWriter(tmp_path / "bag") as bag:
@@ -303,9 +288,7 @@ def test_each_reset_begins_a_section_with_its_own_messages(tmp_path: Path) -> No
 
 
 @pytest.mark.parametrize("late", [0, 1])
-def test_a_section_ends_a_tenth_of_a_second_before_the_next_begins(
-    late: int, tmp_path: Path
-) -> None:
+def test_a_section_ends_a_tenth_of_a_second_before_the_next_begins(late, tmp_path):
     """Later messages belong to the next section."""
     second = 10**9
     with RunWriter(tmp_path / "bag") as bag:
@@ -324,7 +307,7 @@ def test_a_section_ends_a_tenth_of_a_second_before_the_next_begins(
         assert np.isfinite(one.record.desired_position).all() == known
 
 
-def test_only_the_first_command_behind_a_tick_of_the_last_run_answers_it(tmp_path: Path) -> None:
+def test_only_the_first_command_behind_a_tick_of_the_last_run_answers_it(tmp_path):
     second, ms = 10**9, 10**6
     with RunWriter(tmp_path / "bag") as bag:
         for section, delays in enumerate(((10, 20, 30), (0, None, 7))):
@@ -340,7 +323,7 @@ def test_only_the_first_command_behind_a_tick_of_the_last_run_answers_it(tmp_pat
     assert run.bag_metrics.command_latency_max_s == pytest.approx(0.007)
 
 
-def test_a_run_that_a_user_steered_is_not_judged(tmp_path: Path) -> None:
+def test_a_run_that_a_user_steered_is_not_judged(tmp_path):
     """The summary next to the bag decides; if it cannot be read, the goal applies."""
     write_record(tmp_path / "bag", random_record(3))
     assert not Run(tmp_path).steered
@@ -361,7 +344,7 @@ def test_a_run_that_a_user_steered_is_not_judged(tmp_path: Path) -> None:
     assert finished.metrics.goal_reached is None and finished.headline == "finished"
 
 
-def test_refusals_of_both_nodes_come_in_the_order_of_their_ticks(tmp_path: Path) -> None:
+def test_refusals_of_both_nodes_come_in_the_order_of_their_ticks(tmp_path):
     with RunWriter(tmp_path / "bag") as bag:
         for tick in range(4):
             tick_only(bag, tick, tick)

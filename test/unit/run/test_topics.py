@@ -1,15 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """Hands and fingers are found in a bag by their topics."""
 
-from __future__ import annotations
-
 import pytest
 
 from tactile_hand_ros.errors import BagError
 from tactile_hand_ros.run.reading import HandTopics, find_fingers, find_prefix
 
 
-def test_the_only_hand_is_found_in_any_namespace() -> None:
+def test_the_only_hand_is_found_in_any_namespace():
     assert find_prefix(["/joint_states", "/clock"], None, "bag") == "/"
     assert find_prefix(["/left/joint_states", "/clock"], None, "bag") == "/left/"
 
@@ -17,27 +15,25 @@ def test_the_only_hand_is_found_in_any_namespace() -> None:
 @pytest.mark.parametrize(
     ("namespace", "prefix"), [("left", "/left/"), ("/left/", "/left/"), ("", "/"), ("/", "/")]
 )
-def test_one_of_several_hands_is_chosen(namespace: str, prefix: str) -> None:
+def test_one_of_several_hands_is_chosen(namespace, prefix):
     given = ["/left/joint_states", "/joint_states", "/right/joint_states"]
     assert find_prefix(given, namespace, "bag") == prefix
 
 
-def test_several_hands_need_a_choice() -> None:
-    with pytest.raises(BagError, match=r"several hands; choose a namespace: left, right\."):
-        find_prefix(["/right/joint_states", "/left/joint_states"], None, "bag")
+@pytest.mark.parametrize(
+    ("topics", "namespace", "reason"),
+    [
+        ("/right/joint_states /left/joint_states", None, r"choose a namespace: left, right\."),
+        ("/left/joint_states", "up", r"no hand in the namespace 'up', only: left\."),
+        ("/joint_states_raw /other_joint_states /clock", None, "no topic joint_states"),
+    ],
+)
+def test_a_hand_that_is_not_clear_is_refused(topics, namespace, reason):
+    with pytest.raises(BagError, match=reason):
+        find_prefix(topics.split(), namespace, "bag")
 
 
-def test_unknown_namespace() -> None:
-    with pytest.raises(BagError, match=r"no hand in the namespace 'up', only: left\."):
-        find_prefix(["/left/joint_states"], "up", "bag")
-
-
-def test_no_hand() -> None:
-    with pytest.raises(BagError, match="no topic joint_states"):
-        find_prefix(["/joint_states_raw", "/other_joint_states", "/clock"], None, "bag")
-
-
-def test_fingers_in_natural_order_and_of_this_hand_only() -> None:
+def test_fingers_in_natural_order_and_of_this_hand_only():
     given = [
         "/l/tactile/f10/wrench",
         "/l/optimal_force/f2",
@@ -48,7 +44,7 @@ def test_fingers_in_natural_order_and_of_this_hand_only() -> None:
     assert find_fingers(given, "/l/") == ["f1", "f2", "f10"]
 
 
-def test_wrong_type() -> None:
+def test_wrong_type():
     hand = HandTopics("/", ["thumb"])
     hand.check({"/clock": "rosgraph_msgs/msg/Clock"})
     with pytest.raises(BagError, match="/optimal_force/thumb has the type std_msgs/msg/Float64"):

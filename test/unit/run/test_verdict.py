@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A run is judged by its goal; quantities unknown to touch do not count against it."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 
@@ -17,7 +15,7 @@ GOAL = GoalConfig(position_error=0.01, rotation_error=0.1, slip_distance=0.002)
 UNKNOWN = metrics(Record.empty(1, ["a"], ["j"]))
 
 
-def test_each_number_is_judged_by_its_own_limit() -> None:
+def test_each_number_is_judged_by_its_own_limit():
     known = replace(UNKNOWN, final_position_error_m=0.02, final_rotation_error_rad=0.05)
     assert known.judged(GOAL) == [
         Judged("final position error", 0.02, 0.01, "m"),
@@ -28,7 +26,7 @@ def test_each_number_is_judged_by_its_own_limit() -> None:
 
 
 @pytest.mark.parametrize(("value", "passed"), [(0.1, True), (0.1001, False), (math.nan, False)])
-def test_a_number_passes_up_to_its_limit(value: float, passed: bool) -> None:
+def test_a_number_passes_up_to_its_limit(value, passed):
     assert Judged("x", value, 0.1, "m").passed is passed
 
 
@@ -43,14 +41,12 @@ def test_a_number_passes_up_to_its_limit(value: float, passed: bool) -> None:
         (math.nan, False, None, ""),
     ],
 )
-def test_what_became_of_a_run(
-    dropped: float, steered: bool, reached: bool | None, words: str
-) -> None:
+def test_what_became_of_a_run(dropped, steered, reached, words):
     found = replace(UNKNOWN, dropped_at_s=dropped, goal_reached=reached)
     assert found.headline(steered=steered) == words
 
 
-def test_the_hand_is_open_from_the_last_time_it_was_asked_to_until_it_grasps() -> None:
+def test_the_hand_is_open_from_the_last_time_it_was_asked_to_until_it_grasps():
     opens, closes = Asked(2 * 10**9, "grasp", "false"), Asked(3 * 10**9, "grasp", "true")
     other = Asked(4 * 10**9, "enable", "false")
     assert releases([]) == releases([other]) == releases([opens, closes]) == []

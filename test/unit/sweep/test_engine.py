@@ -4,8 +4,6 @@
 The cluster is real: a scheduler and two workers.
 """
 
-from __future__ import annotations
-
 import csv
 import json
 from pathlib import Path
@@ -39,7 +37,7 @@ def expected(tmp_path_factory: pytest.TempPathFactory) -> bytes:
     return (folder / table.TABLE).read_bytes()
 
 
-def test_a_row_says_all_of_a_run(expected: bytes) -> None:
+def test_a_row_says_all_of_a_run(expected):
     rows = list(csv.DictReader(expected.decode().splitlines()))
     assert list(rows[0]) == COLUMNS and len(rows) == RUNS
     for index, row in enumerate(rows):
@@ -54,13 +52,13 @@ def test_a_row_says_all_of_a_run(expected: bytes) -> None:
     assert sum(row["outcome"] == "failed" for row in rows) == 30
 
 
-def test_two_processes_give_the_same_bytes(expected: bytes, tmp_path: Path) -> None:
+def test_two_processes_give_the_same_bytes(expected, tmp_path):
     with workers(2):
         kept(tmp_path)
     assert (tmp_path / table.TABLE).read_bytes() == expected
 
 
-def test_a_study_goes_on_where_it_was_interrupted(expected: bytes, tmp_path: Path) -> None:
+def test_a_study_goes_on_where_it_was_interrupted(expected, tmp_path):
     """Ctrl-C keeps all finished runs, as a table too; a kill may lose the last line."""
 
     def interrupt(tally: Tally) -> None:
@@ -78,34 +76,32 @@ def test_a_study_goes_on_where_it_was_interrupted(expected: bytes, tmp_path: Pat
     assert kept(tmp_path).outcomes.total() == 0
 
 
-def test_a_folder_holds_one_study(tmp_path: Path) -> None:
+def test_a_folder_holds_one_study(tmp_path):
     kept(tmp_path, runs=4)
     with pytest.raises(StudyError, match="another study: runs is 4 there and 5 here"):
         kept(tmp_path, runs=5)
 
 
-def test_a_folder_that_cannot_be_written_is_said_in_a_sentence(tmp_path: Path) -> None:
+def test_a_folder_that_cannot_be_written_is_said_in_a_sentence(tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(StudyError, match=r"cannot be written to .*make room there and repeat"):
         kept(tmp_path / "file")
 
 
-def test_a_process_that_dies_ends_the_study_and_a_second_call_goes_on(
-    expected: bytes, tmp_path: Path
-) -> None:
+def test_a_process_that_dies_ends_the_study_and_a_second_call_goes_on(expected, tmp_path):
     with workers(2), pytest.raises(StudyError, match="a process died during a run"):
         kept(tmp_path, run=trials.deadly)
     kept(tmp_path)
     assert (tmp_path / table.TABLE).read_bytes() == expected
 
 
-def test_a_defect_is_a_failed_run_with_its_place(tmp_path: Path) -> None:
+def test_a_defect_is_a_failed_run_with_its_place(tmp_path):
     assert kept(tmp_path, run=trials.broken, runs=3).outcomes == {"failed": 3}
     reason = read_table(tmp_path)["reason"][0]
     assert reason.startswith("IndexError: list index out of range (trials.py:")
 
 
-def test_lists_and_numbers_come_back_as_they_were(tmp_path: Path) -> None:
+def test_lists_and_numbers_come_back_as_they_were(tmp_path):
     rows = [{"run": 1, "a": [1, 2], "b": None, "c": 3}, {"run": 0, "a": "x", "b": 0.5, "c": 4}]
     (tmp_path / table.ROWS).write_text("".join(json.dumps(row) + "\n" for row in rows))
     found = read_table(tmp_path)
@@ -113,19 +109,19 @@ def test_lists_and_numbers_come_back_as_they_were(tmp_path: Path) -> None:
     np.testing.assert_array_equal(found["b"], [0.5, np.nan])
 
 
-def test_results_come_in_the_order_of_the_items() -> None:
+def test_results_come_in_the_order_of_the_items():
     with workers(2):
         assert list(in_parallel(abs, range(-40, 0))) == list(range(40, 0, -1))
 
 
-def test_a_cluster_gives_the_same_bytes(expected: bytes, tmp_path: Path) -> None:
+def test_a_cluster_gives_the_same_bytes(expected, tmp_path):
     local = {"n_workers": 2, "threads_per_worker": 1, "dashboard_address": None}
     with distributed.LocalCluster(**local) as cluster, workers(cluster=cluster.scheduler_address):
         assert kept(tmp_path / "study").done == RUNS
     assert (tmp_path / "study" / table.TABLE).read_bytes() == expected
 
 
-def test_no_scheduler_is_said_in_a_sentence(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_no_scheduler_is_said_in_a_sentence(monkeypatch):
     monkeypatch.setattr(engine, "_PATIENCE", 0.5)
     refused = pytest.raises(StudyError, match="no Dask scheduler answers at")
     with refused, workers(cluster="tcp://127.0.0.1:9"):

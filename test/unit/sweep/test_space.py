@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Spaces: their syntax on the command line, and the points in them."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given
@@ -28,7 +26,7 @@ SPACE = {"a": Range(0.0, 2.0), "b": Range(0.1, 10.0, is_log=True), "c": Choice((
         ("m=7", Choice((7,))),
     ],
 )
-def test_what_is_varied_is_read(text: str, expected: object) -> None:
+def test_what_is_varied_is_read(text, expected):
     assert parse_parameter(text) == ("m", expected)
 
 
@@ -47,27 +45,27 @@ def test_what_is_varied_is_read(text: str, expected: object) -> None:
         ("m=[]", "expected LOW..HIGH"),
     ],
 )
-def test_what_cannot_be_varied_is_refused_in_a_sentence(text: str, told: str) -> None:
+def test_what_cannot_be_varied_is_refused_in_a_sentence(text, told):
     with pytest.raises(ConfigurationError, match=told.replace("(", r"\(")) as refused:
         parse_parameter(text)
     assert str(refused.value).startswith("--over")
 
 
 @given(st.floats(0.0, 1.0))
-def test_a_share_is_a_value_of_the_parameter(fraction: float) -> None:
+def test_a_share_is_a_value_of_the_parameter(fraction):
     assert 0.1 <= SPACE["b"].value(fraction) <= 10.0 * (1.0 + 1e-12)
     assert Range(1, 6, is_whole=True).value(fraction) in range(1, 7)
     assert Choice("abc").value(fraction) in "abc"
 
 
-def test_a_whole_range_gives_each_number_alike() -> None:
+def test_a_whole_range_gives_each_number_alike():
     values = [
         Range(1, 4, is_whole=True).value(fraction) for fraction in np.linspace(0, 1, 400, False)
     ]
     assert np.unique(values, return_counts=True)[1].tolist() == [100] * 4
 
 
-def test_ranges_are_sampled_by_a_latin_hypercube_that_repeats() -> None:
+def test_ranges_are_sampled_by_a_latin_hypercube_that_repeats():
     """A continued study finds the runs that it would have executed."""
     found = points(SPACE, 50, 3)
     for column in found.T:
@@ -76,7 +74,7 @@ def test_ranges_are_sampled_by_a_latin_hypercube_that_repeats() -> None:
     assert not np.array_equal(points(SPACE, 50, 4), found)
 
 
-def test_levels_are_combined_with_both_ends() -> None:
+def test_levels_are_combined_with_both_ends():
     space = {"a": Range(0.0, 2.0, levels=3), "c": Choice(("u", "v", "w", "x", "y"))}
     study = Study(space, dict)
     found = [tuple(study.point(i).values.values()) for i in range(len(study.fractions))]

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Sweeps: from the command line to the table, and from a row back to its run."""
 
-from __future__ import annotations
-
 import csv
 import json
 from pathlib import Path
@@ -44,7 +42,7 @@ def rows_of(folder: Path) -> list[dict[str, str]]:
     return list(csv.DictReader((folder / "runs.csv").read_text().splitlines()))
 
 
-def test_a_sweep_leaves_table_and_summary(folder: Path) -> None:
+def test_a_sweep_leaves_table_and_summary(folder):
     names = {path.name for path in folder.iterdir()}
     assert {"study.json", "runs.csv", "summary.md"} <= names
     assert len(rows_of(folder)) == 24
@@ -54,7 +52,7 @@ def test_a_sweep_leaves_table_and_summary(folder: Path) -> None:
     )
 
 
-def test_a_row_is_its_run_again_to_the_bit(folder: Path) -> None:
+def test_a_row_is_its_run_again_to_the_bit(folder):
     row = rows_of(folder)[17]
     changes = {name: float(row[name]) for name in ("plant.object.mass", "plant.object.friction")}
     changes["seed"] = int(row["seed"])
@@ -63,18 +61,14 @@ def test_a_row_is_its_run_again_to_the_bit(folder: Path) -> None:
     assert float(np.nanmax(record.true_slid)) == float(row["max_slip_distance_m"])
 
 
-def test_a_finished_sweep_only_shows_its_results(
-    folder: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_finished_sweep_only_shows_its_results(folder, capsys):
     before = (folder / "runs.csv").read_bytes()
     assert main([*WORDS, "--out", str(folder)]) == 0
     assert "24 of 24 runs" in capsys.readouterr().out
     assert (folder / "runs.csv").read_bytes() == before
 
 
-def test_bad_input_is_refused_in_a_sentence(
-    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_bad_input_is_refused_in_a_sentence(folder, tmp_path, capsys):
     def sweep(*words: object) -> str:
         return refused(capsys, "sweep", *words, f"--out={tmp_path / 'x'}", "--jobs=1")
 
@@ -92,7 +86,7 @@ def test_bad_input_is_refused_in_a_sentence(
     assert not (tmp_path / "x" / "study.json").exists()
 
 
-def test_paths_lead_into_lists_and_whole_numbers_stay_whole() -> None:
+def test_paths_lead_into_lists_and_whole_numbers_stay_whole():
     made = make_sweep("gravity", ["gravity.2=-9.81..-1", "seed=1..5"], {}, runs=10)
     points = [made.point(index) for index in range(10)]
     assert {type(point.values["seed"]) for point in points} == {int}
@@ -104,13 +98,13 @@ def test_paths_lead_into_lists_and_whole_numbers_stay_whole() -> None:
         make_sweep("gravity", ["gravity.3=0..1"], {})
 
 
-def test_plain_data_is_the_scenario() -> None:
+def test_plain_data_is_the_scenario():
     for name in ("gravity", "slippery", "pinch"):
         scenario = load_scenario(name, {"calibration.link_lengths": 1.02})
         assert type(scenario).model_validate(json.loads(json.dumps(plain(scenario)))) == scenario
 
 
-def test_the_margin_is_what_the_true_friction_leaves() -> None:
+def test_the_margin_is_what_the_true_friction_leaves():
     scenario = load_scenario("gravity", {"duration": 0.1, "targets": []})
     record = ClosedLoop(scenario).run()
     found = metrics(record, scenario)

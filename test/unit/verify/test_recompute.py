@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A recorded run, recomputed: identical, or the first different tick is named."""
 
-from __future__ import annotations
-
 import copy
 from collections.abc import Callable
 from dataclasses import replace
@@ -73,19 +71,14 @@ def write(folder: Path, scenario: Scenario, record: Record, *changes: tuple[int,
     return Run(folder)
 
 
-@pytest.mark.parametrize("name", ["paper", "gravity"])
-def test_same_configuration_gives_the_same_bits(
-    name: str, request: pytest.FixtureRequest, tmp_path: Path
-) -> None:
-    """Every topic at every tick."""
-    scenario, record = request.getfixturevalue(name)
+def test_same_configuration_gives_the_same_bits(gravity, tmp_path):
+    scenario, record = gravity
     result = recompute(write(tmp_path, scenario, record))
     assert [c for c in result.comparisons if not c.same] == []
     assert all(c.compared == len(record) > 100 for c in result.comparisons)
 
 
-def test_first_tick_that_differs_is_named(paper: tuple[Scenario, Record], tmp_path: Path) -> None:
-    """A single bit of a number."""
+def test_first_tick_that_differs_is_named(paper, tmp_path):
     scenario, record = paper
     record = copy.deepcopy(record)
     record.command[123, 4] = np.nextafter(record.command[123, 4], np.inf)
@@ -96,9 +89,7 @@ def test_first_tick_that_differs_is_named(paper: tuple[Scenario, Record], tmp_pa
     assert 0.0 < wrong.largest < 1e-12
 
 
-def test_the_regulator_feels_also_the_ticks_that_it_was_too_slow_to_answer(
-    gravity: tuple[Scenario, Record], tmp_path: Path
-) -> None:
+def test_the_regulator_feels_also_the_ticks_that_it_was_too_slow_to_answer(gravity, tmp_path):
     scenario, record = gravity[0].changed({"plant.pacing": "realtime"}), copy.deepcopy(gravity[1])
     for name in ("grasp_force", "friction", "slip_evidence", "grip"):
         getattr(record, name)[50:53] = np.nan
@@ -136,9 +127,7 @@ def without_touch(
     return out
 
 
-def test_a_run_that_held_for_lack_of_touch_is_held_again(
-    paper: tuple[Scenario, Record], tmp_path: Path
-) -> None:
+def test_a_run_that_held_for_lack_of_touch_is_held_again(paper, tmp_path):
     """If it did not answer at all, the recomputed one does not either."""
     scenario, record = paper[0], paper[1].part(slice(40))
     missed = without_touch(scenario, record, held=(10, 11, 30), silent=(20,))
@@ -150,7 +139,7 @@ def test_a_run_that_held_for_lack_of_touch_is_held_again(
     assert compared["optimal_force"] == 40
 
 
-def test_cones_of_a_shadow_follow_the_friction_that_it_learns_itself(tmp_path: Path) -> None:
+def test_cones_of_a_shadow_follow_the_friction_that_it_learns_itself(tmp_path):
     """They are so narrow that they shape f*."""
     changes = GRIP | {"slip_regulator.reflex.margin": 4.0, "user_forces": []}
     scenario = load_scenario("user_grip", changes)
@@ -161,9 +150,7 @@ def test_cones_of_a_shadow_follow_the_friction_that_it_learns_itself(tmp_path: P
     assert by_topic["optimal_force"].identical < 10
 
 
-def test_a_bag_cannot_import_a_law(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_bag_cannot_import_a_law(tmp_path, monkeypatch, capsys):
     """A foreign bag may name any code; only laws named by the user are imported."""
     (tmp_path / "mine.yaml").write_text("extends: paper\nduration: 0.1\nlaw: foreign_law:Mine")
     (tmp_path / "foreign_law.py").write_text(
@@ -179,8 +166,7 @@ def test_a_bag_cannot_import_a_law(
     assert main([*replay, "--law", "foreign_law:Mine"]) == 0
 
 
-def test_run_without_scenario_is_refused(paper: tuple[Scenario, Record], tmp_path: Path) -> None:
-    """Nothing is guessed."""
+def test_run_without_scenario_is_refused(paper, tmp_path):
     with RunWriter(tmp_path / "bag") as bag:
         write_tick(bag, paper[1], 0, START)
     with pytest.raises(BagError, match="configuration of .* is unknown"):
@@ -226,7 +212,7 @@ LIVE: dict[str, dict[int, dict[str, Any]]] = {
 """Live changes of parameters, by node and row."""
 
 
-def test_live_parameters_count_from_their_tick_on(tmp_path: Path) -> None:
+def test_live_parameters_count_from_their_tick_on(tmp_path):
     """All numbers to the bit; without the messages there is a difference."""
     scenario = load_scenario("user_grip", GRIP)
     changes: Changes = {}
@@ -268,7 +254,7 @@ CALLS = {
 """Service calls, by row."""
 
 
-def test_service_calls_count_from_their_tick_on(tmp_path: Path) -> None:
+def test_service_calls_count_from_their_tick_on(tmp_path):
     """A hand that only damps for a while, a reset, fingers that open and close on a new grasp."""
     scenario = load_scenario("user_grip", GRIP | {"gravity": [0.0, 0.0, 0.0]})
     topic = "manipulation_controller/requests"
@@ -299,7 +285,7 @@ def test_service_calls_count_from_their_tick_on(tmp_path: Path) -> None:
             assert not all(c.same for c in compare(run.record, answered)), found[i]
 
 
-def test_poses_that_wait_and_overtake_each_other_are_followed_as_they_were(tmp_path: Path) -> None:
+def test_poses_that_wait_and_overtake_each_other_are_followed_as_they_were(tmp_path):
     """Of two poses sent before the first grasp, the newer is out of reach.
 
     The older one takes effect a tick later. A late one applies immediately, before a waiting one.
@@ -328,10 +314,7 @@ def test_poses_that_wait_and_overtake_each_other_are_followed_as_they_were(tmp_p
     assert recompute(run).same
 
 
-def test_commands_tell_by_their_exit_code(
-    paper: tuple[Scenario, Record], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """0 if all is identical, 1 if not, 2 if the law is invalid."""
+def test_commands_tell_by_their_exit_code(paper, tmp_path, capsys):
     scenario, record = paper
     run = str(write(tmp_path / "good", scenario, record).path)
     assert main(["replay", run, "--recompute"]) == 0

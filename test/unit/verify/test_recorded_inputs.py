@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """User changes in a run take effect exactly at their ticks."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
@@ -21,10 +19,7 @@ from support.recorded import (
 
 from tactile_hand_ros.run.run import Run
 from tactile_hand_ros.scenario.scenario import load_scenario, resolved
-from tactile_hand_ros.verify.recorded_inputs import (
-    PARAMETERS,
-    read_inputs,
-)
+from tactile_hand_ros.verify.recorded_inputs import PARAMETERS, read_inputs
 
 SCENARIO = load_scenario("paper", {"duration": 0.1, "targets": []})
 
@@ -57,10 +52,10 @@ def run(tmp_path: Path) -> Run:
     return Run(tmp_path)
 
 
-def test_the_inputs_are_those_of_the_last_run_in_a_bag(run: Run) -> None:
+def test_the_inputs_are_those_of_the_last_run_in_a_bag(run):
     inputs = read_inputs(run, SCENARIO)
     assert len(inputs.contacts) == len(inputs.measured) == 12 and None not in inputs.contacts
-    assert inputs.contacts[4].touching.tolist() == [True, False, True]  # type: ignore[union-attr]
+    assert inputs.contacts[4].touching.tolist() == [True, False, True]
     assert inputs.measured.tolist() == [row != 6 for row in range(12)]
     config, call, pose = inputs.changes["manipulation_controller"]
     assert (config.stamp, config.value.law.k_p) == (7, 2.0)

@@ -7,7 +7,6 @@ from support.exact import best_forces
 from support.grasps import HALF, contacts_at, moved, pinch, three_faces
 
 from tactile_hand_ros.control.contact import Contacts
-from tactile_hand_ros.control.grasp import collinearity_margin
 from tactile_hand_ros.control.optimizer.cones import Cones, reaches
 from tactile_hand_ros.control.optimizer.force_optimizer import (
     ForceOptimizer,
@@ -46,7 +45,7 @@ def without_finger(contacts, finger):
 @pytest.mark.parametrize(("grasp", "expected"), [(three_faces, THREE_FACES), (pinch, PINCH)])
 def test_the_papers_layouts_have_the_forces_computed_by_hand(grasp, expected):
     found = optimizer().solve(grasp())
-    assert found.ok and found.status is Status.SOLVED and found.reason == ""
+    assert found.ok and found.status is Status.SOLVED and found.reason == "" and not found.shaped
     np.testing.assert_allclose(found.forces, expected, atol=1e-10)
     assert found.residual < 1e-9
     assert 0 < found.iterations < 4 and found.solve_time == 0.0
@@ -59,26 +58,10 @@ def test_weights_may_differ_from_contact_to_contact():
     np.testing.assert_allclose(found.forces, expected, atol=1e-10)
 
 
-def test_a_minimum_normal_force_is_kept_exactly():
-    found = optimizer(minimum_normal=0.2).solve(three_faces())
-    np.testing.assert_allclose(found.forces[:, 1], [0.4, 0.4, 0.2], atol=1e-10)
-    assert found.residual < 1e-9
-
-
 def beside():
     """Finger 3 next to two opposed ones: the bound on its normal force is active."""
     points = np.array([[HALF, 0.0, 0.0], [-HALF, 0.0, 0.0], [0.0, HALF, 0.05]])
     return contacts_at(points, [[-1.0, 0, 0.1], [1.0, 0, 0.1], [0, -0.1, 1.0]])
-
-
-def test_a_finger_that_could_only_disturb_gets_nothing():
-    grasp = beside()
-    weights = np.tile([10.0, 1.0, 10.0], 3)
-    expected = best_forces(grasp, weights)
-    assert expected[:, 1].min() == pytest.approx(0.0, abs=1e-12)
-    found = optimizer().solve(grasp)
-    np.testing.assert_allclose(found.forces, expected, atol=1e-9)
-    assert found.residual < 1e-9
 
 
 def test_normals_that_cannot_balance_are_a_status_with_a_reason():
@@ -88,17 +71,13 @@ def test_normals_that_cannot_balance_are_a_status_with_a_reason():
     assert np.isnan(found.forces).all() and np.isnan(found.residual)
 
 
-def test_contacts_on_a_line_are_a_status_with_a_reason():
-    points = 0.1 * np.array([[1.0, 0, 0], [0.0, 0, 0], [-1.0, 0, 0]])
-    found = optimizer().solve(contacts_at(points, [[0, 1.0, 0], [0, -1.0, 0], [0, 1.0, 0]]))
-    assert found.status is Status.COLLINEAR
-    assert "line" in found.reason and np.isnan(found.forces).all()
-
-
 def test_a_missing_contact_is_named():
     found = optimizer().solve(without_finger(without_finger(three_faces(), 0), 2))
     assert found.status is Status.CONTACT_MISSING
     assert "finger 1, 3" in found.reason and np.isnan(found.forces).all()
+    assert (found.iterations, found.solve_time, found.shaped) == (0, 0.0, False)
+    assert np.isnan([found.residual, found.cone_margin]).all() and found.forces.shape == (3, 3)
+    assert not optimizer().solve(three_faces(), Cones(np.full(3, 0.5), np.zeros((3, 3)))).shaped
 
 
 @pytest.mark.parametrize(
@@ -140,7 +119,8 @@ def test_contacts_a_thousandth_as_thin_as_long_are_taken_for_a_line():
     for margin in (0.99e-3, 1.01e-3):
         points = 0.1 * np.array([[1.0, 0, 0], [-1.0, 0, 0], [0.0, margin * np.sqrt(3.0), 0]])
         found = optimizer().solve(contacts_at(points, [[0, 1.0, 0], [0, 1.0, 0], [0, -1.0, 0]]))
-        assert (found.status is Status.COLLINEAR) == (margin < 1e-3)
+        assert (found.status is Status.COLLINEAR) == ("line" in found.reason) == (margin < 1e-3)
+        assert np.isnan(found.forces).all() or margin > 1e-3
 
 
 def test_new_weights_take_effect_and_refused_ones_change_nothing():
@@ -166,34 +146,6 @@ def test_minimum_normal_forces_that_add_up_to_more_than_one_are_rejected():
     for share in (0.25, 0.3):  # with a quarter each, nothing is left to share
         with pytest.raises(ConfigurationError, match=rf"= {share}: 4 contacts.*below 0.25"):
             optimizer(fingers=4, minimum_normal=share)
-
-
-def test_four_contacts_on_four_faces_press_equally():
-    points = HALF * np.array([[1.0, 0, 0], [0, 1.0, 0], [-1.0, 0, 0], [0, -1.0, 0]])
-    found = optimizer(4).solve(contacts_at(points, -points))
-    np.testing.assert_allclose(found.forces, np.tile([0.0, 0.25, 0.0], (4, 1)), atol=1e-10)
-
-
-def thin_plates(number):
-    """Return grasps of a plate whose normals are nearly parallel, with their optimal forces."""
-    random, found = np.random.default_rng(5), []
-    while len(found) < number:
-        points = random.uniform(-0.1, 0.1, (3, 3)) * [1.0, 1.0, 10.0 ** random.uniform(-3.0, 0.0)]
-        normals = np.outer(random.choice([-1.0, 1.0], 3), [0.0, 0.0, 1.0])
-        normals += 10.0 ** random.uniform(-3.0, -0.5) * random.standard_normal((3, 3))
-        grasp = contacts_at(points, normals)
-        forces = best_forces(grasp, W) if collinearity_margin(points) > 0.01 else None
-        if forces is not None and 30.0 < np.abs(forces).max() < 1000.0:
-            found.append((grasp, forces))
-    return found
-
-
-def test_thin_plates_that_balance_with_large_forces_are_solved():
-    for grasp, expected in thin_plates(60):
-        for solver in ("exact", "osqp"):
-            found = optimizer(solver=solver).solve(grasp)
-            assert found.ok, (found.reason, expected)
-            np.testing.assert_allclose(found.forces, expected, atol=1e-6 * np.abs(expected).max())
 
 
 def test_torques_are_taken_about_the_centroid_per_size_of_the_grasp():
@@ -222,10 +174,12 @@ def limited(program, **values):
 
 @pytest.mark.parametrize("least", [0.0, 0.05, 0.2])
 @pytest.mark.parametrize("grasp", [three_faces, pinch, beside])
-def test_osqp_finds_the_optimum_to_its_last_digits(grasp, least):
-    found = optimizer(solver="osqp", minimum_normal=least).solve(grasp())
-    assert found.residual < 1e-9 and found.iterations > 0 and found.solve_time > 0.0
-    np.testing.assert_allclose(found.forces, best_forces(grasp(), W, least), atol=1e-8)
+@pytest.mark.parametrize(("solver", "exactness"), [("exact", 1e-10), ("osqp", 1e-8)])
+def test_the_optimum_is_found_to_its_last_digits(solver, exactness, grasp, least):
+    found = optimizer(solver=solver, minimum_normal=least).solve(grasp())
+    assert found.residual < 1e-9 and found.iterations > 0
+    assert (found.solve_time > 0.0) == (solver == "osqp")
+    np.testing.assert_allclose(found.forces, best_forces(grasp(), W, least), atol=exactness)
 
 
 def test_an_answer_counts_by_its_residual_where_osqp_stops_at_its_limit():
@@ -251,14 +205,6 @@ def test_where_nothing_meets_the_conditions_the_solver_has_failed_and_starts_aga
     assert found.status is Status.FAILED and np.isnan(found.forces).all()
     assert "OSQP ended with '" in found.reason and "the best residual is " in found.reason
     np.testing.assert_allclose(made.solve(three_faces()).forces, THREE_FACES, atol=1e-10)
-
-
-def test_without_an_answer_nothing_is_claimed():
-    found = optimizer().solve(without_finger(three_faces(), 0))
-    assert (found.iterations, found.solve_time, found.shaped) == (0, 0.0, False)
-    assert np.isnan([found.residual, found.cone_margin]).all() and found.forces.shape == (3, 3)
-    assert not optimizer().solve(three_faces()).shaped
-    assert not optimizer().solve(three_faces(), Cones(np.full(3, 0.5), np.zeros((3, 3)))).shaped
 
 
 SLIPPERY = Cones(np.full(3, 0.05), np.zeros((3, 3)))

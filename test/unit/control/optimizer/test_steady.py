@@ -3,7 +3,7 @@
 
 import numpy as np
 import pytest
-from support.grasps import contacts_at, three_faces
+from support.grasps import LOPSIDED, three_faces
 
 from tactile_hand_ros.control.contact import Contacts
 from tactile_hand_ros.control.optimizer.cones import (
@@ -73,12 +73,6 @@ def test_a_force_exactly_on_a_side_need_go_nowhere():
     assert _way_into_cones(start + [1e-9, 0.0, 0.0], out, nothing, half) == 1.0
     assert _way_into_cones(out, start, nothing, half) == 1.0
     assert _way_into_cones(out, start - [0.5 * INSIDE, 0.0, 0.0], nothing, half) < 1.0
-
-
-LOPSIDED = contacts_at(
-    [[0.06, 0.01, 0.02], [-0.04, 0.03, -0.01], [0.01, -0.07, 0.03], [0.0, 0.02, -0.05]],
-    [[-1.0, 0.1, 0.3], [0.8, -0.5, 0.2], [0.1, 1.0, -0.4], [0.2, 0.1, 1.0]],
-)
 
 
 def test_the_nearest_forces_in_balance_are_those_of_the_pseudoinverse():

@@ -91,7 +91,6 @@ def test_what_acts_along_the_internal_force_is_no_slip(axis):
 @pytest.mark.parametrize("size", [0.5, 3.0, 30.0])
 @pytest.mark.parametrize("stays", [True, False])
 def test_a_push_is_no_slip(size, stays):
-    """Neither a lasting one nor one in a single sample."""
     forces = sticking(1000)
     forces[500 : None if stays else 501, 0] += size
     assert not (run(forces) == SLIP).any()

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """When the plant advances, waits, repeats, holds and ends: over DDS, with a test clock."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from types import SimpleNamespace
 from typing import Any
@@ -126,9 +124,7 @@ def make(here: Process, monkeypatch: pytest.MonkeyPatch) -> Callable[..., Rig]:
     return lambda **parameters: Rig(here, clock, **parameters)
 
 
-def test_in_lockstep_each_answer_is_a_tick_and_other_commands_change_nothing(
-    make: Callable[..., Rig],
-) -> None:
+def test_in_lockstep_each_answer_is_a_tick_and_other_commands_change_nothing(make):
     rig = make()
     start = rig.until("running", 0, answered_ns=-1, resent_ticks=0, finished=False)
     assert start["time_s"] == "0"
@@ -151,9 +147,7 @@ def test_in_lockstep_each_answer_is_a_tick_and_other_commands_change_nothing(
     rig.reported("answered_ns", 0)  # the orchestrator waits for the first answer
 
 
-def test_a_paused_plant_takes_no_commands_and_reports_the_answer_to_its_last_tick(
-    make: Callable[..., Rig],
-) -> None:
+def test_a_paused_plant_takes_no_commands_and_reports_the_answer_to_its_last_tick(make):
     rig = make(autostart=False)
     rig.send(0)
     rig.until("paused", 0, answered_ns=0)
@@ -166,9 +160,7 @@ def test_a_paused_plant_takes_no_commands_and_reports_the_answer_to_its_last_tic
     rig.until("paused", 2, answered_ns=4_000_000)
 
 
-def test_a_run_ends_at_its_duration_and_starts_again_with_a_reset(
-    make: Callable[..., Rig],
-) -> None:
+def test_a_run_ends_at_its_duration_and_starts_again_with_a_reset(make):
     rig = make(duration=0.004)
     rig.send(0, 1, 2, 3)
     rig.until("finished", 2, finished=True)
@@ -181,20 +173,16 @@ def test_a_run_ends_at_its_duration_and_starts_again_with_a_reset(
     assert "fault state" not in rig.answer(0)
 
 
-def test_a_running_plant_publishes_its_first_tick_again_at_a_reset(
-    make: Callable[..., Rig],
-) -> None:
+def test_a_running_plant_publishes_its_first_tick_again_at_a_reset(make):
     rig = make()
     rig.answer(0, 1)
     rig.here.wait(lambda: 2 in rig.ticks())
-    rig.reset()
+    assert rig.reset().message == "running" and facts(rig.node)["touching"] == "3"
     rig.here.wait(lambda: rig.ticks()[-1] == 0, "the first tick")
     rig.answer(0)
 
 
-def test_a_tick_without_an_answer_is_sent_again_as_it_was_and_only_after_a_time(
-    make: Callable[..., Rig],
-) -> None:
+def test_a_tick_without_an_answer_is_sent_again_as_it_was_and_only_after_a_time(make):
     rig = make(resend_after=0.25, command_timeout=30.0)
     rig.answer(0)
     for wait, resent in ((0.2499, 0), (0.0002, 1), (0.2501, 2)):
@@ -205,7 +193,7 @@ def test_a_tick_without_an_answer_is_sent_again_as_it_was_and_only_after_a_time(
     assert others == [first, first]
 
 
-def test_a_long_silence_holds_the_joints_while_time_continues(make: Callable[..., Rig]) -> None:
+def test_a_long_silence_holds_the_joints_while_time_continues(make):
     rig = make(command_timeout=2.0, resend_after=0.5)
     rig.answer(0)
     rig.clock.now += 2.0001
@@ -219,7 +207,7 @@ def test_a_long_silence_holds_the_joints_while_time_continues(make: Callable[...
     rig.answer(rig.now)
 
 
-def test_before_the_first_command_a_silence_only_warns(make: Callable[..., Rig]) -> None:
+def test_before_the_first_command_a_silence_only_warns(make):
     rig = make(command_timeout=2.0)
     rig.clock.now += 2.0
     text = "no usable joint_command for 2 s, waiting at the first tick"
@@ -228,9 +216,7 @@ def test_before_the_first_command_a_silence_only_warns(make: Callable[..., Rig])
     assert "fault state" not in rig.answer(0)
 
 
-def test_two_senders_are_both_refused_until_half_a_second_is_over(
-    make: Callable[..., Rig],
-) -> None:
+def test_two_senders_are_both_refused_until_half_a_second_is_over(make):
     rig = make()
     rig.answer(0, 1, 2, 3)
     rig.send(4, sender=1)  # it may be a successor
@@ -250,9 +236,7 @@ def test_two_senders_are_both_refused_until_half_a_second_is_over(
     rig.returns()
 
 
-def test_an_error_that_was_not_foreseen_holds_only_joints_that_were_commanded(
-    make: Callable[..., Rig],
-) -> None:
+def test_an_error_that_was_not_foreseen_holds_only_joints_that_were_commanded(make):
     rig = make()
     rig.node.to_safe_state("KeyError")
     rig.until("running", 0)
@@ -267,9 +251,7 @@ def test_an_error_that_was_not_foreseen_holds_only_joints_that_were_commanded(
         rig.says(ERROR, "KeyError; the joints are held")
 
 
-def test_a_simulation_that_diverges_stands_still_until_a_reset(
-    make: Callable[..., Rig], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_simulation_that_diverges_stands_still_until_a_reset(make, monkeypatch):
     rig = make()
 
     def fail(_: PlantRun) -> None:
@@ -285,7 +267,7 @@ def test_a_simulation_that_diverges_stands_still_until_a_reset(
     assert "fault state" not in rig.answer(0)
 
 
-def test_in_real_time_the_first_command_starts_the_clock(make: Callable[..., Rig]) -> None:
+def test_in_real_time_the_first_command_starts_the_clock(make):
     rig = make(pacing="realtime", duration=0.01, resend_after=0.1)
     rig.clock.now += 0.2
     rig.until("running", 0, resent_ticks=1)
@@ -293,9 +275,7 @@ def test_in_real_time_the_first_command_starts_the_clock(make: Callable[..., Rig
     rig.until("finished", 5)
 
 
-def test_in_real_time_a_command_may_be_as_old_as_the_guard_allows(
-    make: Callable[..., Rig],
-) -> None:
+def test_in_real_time_a_command_may_be_as_old_as_the_guard_allows(make):
     """An older command is ignored, and the resulting hold is published once."""
     rig = make(**{"pacing": "realtime", "guard.age_limit": 3, "rate": 100.0})
     rig.send(0)

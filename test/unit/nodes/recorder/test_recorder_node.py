@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The recorder node: what it records, what it reports, how it ends; alone and next to a hand."""
 
-from __future__ import annotations
-
 import os
 import signal
 from collections.abc import Callable, Iterator
@@ -109,7 +107,7 @@ def number(value: int) -> bytes:
     return bytes(serialize_message(Int64(data=value)))
 
 
-def test_what_is_chosen_is_recorded_and_counted(stage: Stage) -> None:
+def test_what_is_chosen_is_recorded_and_counted(stage):
     for topic in ("/left/a", "/left/b", "/right/a"):
         stage.publish(topic)
     stage.record(exclude=["/left/b"], scenario=SCENARIO, compression="lz4")
@@ -128,7 +126,7 @@ def test_what_is_chosen_is_recorded_and_counted(stage: Stage) -> None:
     assert found["version_tactile_hand_ros"] == tactile_hand_ros.__version__
 
 
-def test_what_publishers_offer_and_the_hash_of_their_type_are_in_the_bag(stage: Stage) -> None:
+def test_what_publishers_offer_and_the_hash_of_their_type_are_in_the_bag(stage):
     """With a latched message from before the recorder, a best-effort topic, and two publishers."""
     offers = {
         "latched": [QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)],
@@ -166,9 +164,7 @@ def test_what_publishers_offer_and_the_hash_of_their_type_are_in_the_bag(stage: 
             assert sorted(given) == [(p.reliability.name, p.durability.name) for p in profiles]
 
 
-def test_what_is_missing_is_a_warning_and_in_the_bag(
-    stage: Stage, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_is_missing_is_a_warning_and_in_the_bag(stage, monkeypatch):
     monkeypatch.setattr(recorder_module, "_QUEUE_DEPTH", 10)
     stage.record()
     stage.meet("/left/a")
@@ -188,7 +184,7 @@ def test_what_is_missing_is_a_warning_and_in_the_bag(
     assert found.custom_data["lost_messages/left/a"] == found.custom_data["lost_messages"]
 
 
-def test_what_the_writer_refuses_is_lost_too(stage: Stage, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_the_writer_refuses_is_lost_too(stage, monkeypatch):
     stage.record()
     stage.meet("/left/a")
     monkeypatch.setattr(writer_process, "_MAX_WAITING", -1)
@@ -196,7 +192,7 @@ def test_what_the_writer_refuses_is_lost_too(stage: Stage, monkeypatch: pytest.M
     stage.spin_until(lambda: stage.report()["lost_messages"] == "2")
 
 
-def test_the_bag_is_closed_also_after_the_context_has_ended(stage: Stage) -> None:
+def test_the_bag_is_closed_also_after_the_context_has_ended(stage):
     """With all received messages, even of a topic that had no publisher at the last look."""
     stage.hand.create_subscription(Int64, "late", print, 1)
     stage.record()
@@ -213,7 +209,7 @@ def test_the_bag_is_closed_also_after_the_context_has_ended(stage: Stage) -> Non
     assert (stage.bag / "metadata.yaml").exists()
 
 
-def test_next_to_a_hand_the_bytes_of_its_publishers_are_taken_from_them(stage: Stage) -> None:
+def test_next_to_a_hand_the_bytes_of_its_publishers_are_taken_from_them(stage):
     """From the first message on, and without a subscription; other topics are subscribed."""
     inside = TickPublisher(stage.hand, Int64, "x", number)
     outside = TickPublisher(stage.hand, Int64, "/right/x", number)
@@ -243,9 +239,7 @@ def end_writer() -> None:
     writer.wait()
 
 
-def test_next_to_a_hand_a_bag_that_cannot_be_written_ends_the_recording_and_nothing_else(
-    stage: Stage,
-) -> None:
+def test_next_to_a_hand_a_bag_that_cannot_be_written_ends_the_recording_and_nothing_else(stage):
     inside = TickPublisher(stage.hand, Int64, "x", number)
     stage.record(inside)
     end_writer()
@@ -258,14 +252,14 @@ def test_next_to_a_hand_a_bag_that_cannot_be_written_ends_the_recording_and_noth
         stage.recorder.close()
 
 
-def test_a_recorder_alone_ends_with_the_error(stage: Stage) -> None:
+def test_a_recorder_alone_ends_with_the_error(stage):
     stage.record()
     end_writer()
     with pytest.raises(BagError, match="tactile-hand recover"):
         stage.spin_until(lambda: False)
 
 
-def test_a_bag_that_exists_is_refused_before_anything_is_recorded(stage: Stage) -> None:
+def test_a_bag_that_exists_is_refused_before_anything_is_recorded(stage):
     stage.bag.mkdir()
     with pytest.raises(BagError, match="exists"):
         stage.record()

@@ -1,12 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """A topic is subscribed with its publishers' QoS, and missing messages are counted."""
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Iterator
 from contextlib import suppress
-from pathlib import Path
 
 import pytest
 from hypothesis import given
@@ -42,9 +39,7 @@ LATCHED = QoSProfile(depth=5, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         ([LATCHED, STRICT], "RELIABLE", "VOLATILE"),
     ],
 )
-def test_all_publishers_satisfy_what_is_asked_for(
-    offers: list[QoSProfile], reliability: str, durability: str
-) -> None:
+def test_all_publishers_satisfy_what_is_asked_for(offers, reliability, durability):
     profile = adapted_qos([TopicEndpointInfo(qos_profile=each) for each in offers], 17)
     assert profile.reliability == ReliabilityPolicy[reliability]
     assert profile.durability == DurabilityPolicy[durability]
@@ -119,7 +114,7 @@ def stage(monkeypatch: pytest.MonkeyPatch) -> Iterator[Stage]:
                 node.destroy_node()
 
 
-def test_messages_are_taken_with_their_times(stage: Stage) -> None:
+def test_messages_are_taken_with_their_times(stage):
     publisher = stage.publisher(STRICT)
     stage.match(publisher)
     stage.send(publisher, 3, 4, 5)
@@ -128,7 +123,7 @@ def test_messages_are_taken_with_their_times(stage: Stage) -> None:
     assert all(0 < sent <= received for received, sent in stage.times)
 
 
-def test_what_a_node_sends_before_it_is_found_is_a_loss(stage: Stage) -> None:
+def test_what_a_node_sends_before_it_is_found_is_a_loss(stage):
     publisher = stage.publisher(EAGER, 1, 2)  # the subscription requests more until it adapts
     stage.match(publisher)
     stage.send(publisher, 3)
@@ -137,9 +132,7 @@ def test_what_a_node_sends_before_it_is_found_is_a_loss(stage: Stage) -> None:
 
 
 @given(st.integers(1, 1000), st.sets(st.integers(1, 98), max_size=50))
-def test_of_one_publisher_what_is_missing_between_two_messages_is_counted(
-    first: int, gaps: set[int]
-) -> None:
+def test_of_one_publisher_what_is_missing_between_two_messages_is_counted(first, gaps):
     losses = LossCounter(lambda: {b"a"}, 0.0)
     for i in range(100):
         if i not in gaps:
@@ -147,7 +140,7 @@ def test_of_one_publisher_what_is_missing_between_two_messages_is_counted(
     assert losses.count == len(gaps)
 
 
-def test_of_several_publishers_nothing_is_counted_and_all_of_one_that_appears_alone() -> None:
+def test_of_several_publishers_nothing_is_counted_and_all_of_one_that_appears_alone():
     present = {b"a"}
     losses = LossCounter(lambda: present, 0.0)
     for now, number, count in (
@@ -165,7 +158,7 @@ def test_of_several_publishers_nothing_is_counted_and_all_of_one_that_appears_al
         assert losses.count == count
 
 
-def test_a_weaker_publisher_next_to_another_is_taken_too(stage: Stage) -> None:
+def test_a_weaker_publisher_next_to_another_is_taken_too(stage):
     strict = stage.publisher(STRICT)
     stage.match(strict)
     stage.send(strict, 1)
@@ -176,9 +169,7 @@ def test_a_weaker_publisher_next_to_another_is_taken_too(stage: Stage) -> None:
     assert stage.take(2) == [1, 2]
 
 
-def test_a_publisher_replaced_by_a_best_effort_one_between_two_looks_is_taken(
-    stage: Stage,
-) -> None:
+def test_a_publisher_replaced_by_a_best_effort_one_between_two_looks_is_taken(stage):
     """The number of publishers is the same as before; missed messages are counted."""
     strict = stage.publisher(STRICT)
     stage.match(strict)
@@ -192,9 +183,7 @@ def test_a_publisher_replaced_by_a_best_effort_one_between_two_looks_is_taken(
 
 
 @pytest.mark.parametrize("has_come", [False, True])
-def test_a_latched_topic_is_subscribed_again_before_its_first_message_only(
-    stage: Stage, has_come: bool
-) -> None:
+def test_a_latched_topic_is_subscribed_again_before_its_first_message_only(stage, has_come):
     """Later, its history would be received twice."""
     publisher = stage.publisher(LATCHED)
     wait_until(lambda: publisher.get_subscription_count() == 1)
@@ -210,9 +199,7 @@ def test_a_latched_topic_is_subscribed_again_before_its_first_message_only(
 
 
 @pytest.mark.parametrize("early", [0, 100])
-def test_what_a_restarted_publisher_sends_before_it_is_matched_counts_as_lost(
-    stage: Stage, early: int
-) -> None:
+def test_what_a_restarted_publisher_sends_before_it_is_matched_counts_as_lost(stage, early):
     """The received and lost messages add up to all that the second publisher sent."""
     total = 0
     for sent in (20, early + 20):
@@ -226,7 +213,7 @@ def test_what_a_restarted_publisher_sends_before_it_is_matched_counts_as_lost(
     assert len(stage.taken) + stage.topic.lost == total
 
 
-def test_after_the_context_has_ended_what_has_arrived_is_still_taken(stage: Stage) -> None:
+def test_after_the_context_has_ended_what_has_arrived_is_still_taken(stage):
     publisher = stage.publisher(STRICT)
     stage.match(publisher)
     stage.send(publisher, 1, 2)
@@ -236,9 +223,7 @@ def test_after_the_context_has_ended_what_has_arrived_is_still_taken(stage: Stag
     assert stage.taken == [1, 2]
 
 
-def test_a_type_name_imports_installed_interfaces_only(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_type_name_imports_installed_interfaces_only(tmp_path, monkeypatch):
     """A bag or a network peer may name a module in the current folder."""
     module = tmp_path / "evilpkg" / "msg"
     module.mkdir(parents=True)
@@ -256,8 +241,7 @@ def test_a_type_name_imports_installed_interfaces_only(
     ["", "Foo", "std_msgs/Float64", "std_msgs/msg/", "os.path/msg/Foo", "../x/msg/Foo"]
     + ["std_msgs/msg/__name__", "std_srvs/srv/Trigger", "std_msgs/msg/Float64\n", "x" * 10_000],
 )
-def test_what_is_no_type_name_is_refused(name: str) -> None:
-    """No import is attempted."""
+def test_what_is_no_type_name_is_refused(name):
     with pytest.raises(BagError, match="is not a type name, expected package/msg/Type") as caught:
         message_class(name)
     assert len(str(caught.value)) < 250

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A bag written by another process equals the one that this process would write."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess
@@ -40,7 +38,7 @@ def fill(writer: BagWriter | WriterProcess) -> None:
     writer.close()
 
 
-def test_the_bag_is_the_same_to_the_byte(tmp_path: Path) -> None:
+def test_the_bag_is_the_same_to_the_byte(tmp_path):
     here, there = tmp_path / "here" / "bag", tmp_path / "there" / "bag"
     fill(BagWriter(here, compression="zstd"))
     other = started(there)
@@ -51,14 +49,7 @@ def test_the_bag_is_the_same_to_the_byte(tmp_path: Path) -> None:
     assert not other.is_open and not psutil.pid_exists(other.process_id)
 
 
-def test_a_folder_that_exists_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(BagError, match="exists already"):
-        WriterProcess(tmp_path).check()
-
-
-def test_what_finds_no_room_is_counted_as_lost(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_finds_no_room_is_counted_as_lost(tmp_path, monkeypatch):
     """A process that does not read causes no delay; all other messages are in the bag, in order."""
     assert writer_process._MAX_WAITING == 64 << 20
     monkeypatch.setattr(writer_process, "_MAX_WAITING", 1 << 20)
@@ -75,7 +66,7 @@ def test_what_finds_no_room_is_counted_as_lost(
     assert numbers == list(range(400 - writer.lost[channel]))
 
 
-def test_a_process_that_has_died_is_an_error_with_advice(tmp_path: Path) -> None:
+def test_a_process_that_has_died_is_an_error_with_advice(tmp_path):
     writer = started(tmp_path / "bag")
     os.kill(writer.process_id, signal.SIGKILL)
     channel = writer.add_channel("/one", TYPE)
@@ -89,7 +80,7 @@ def test_a_process_that_has_died_is_an_error_with_advice(tmp_path: Path) -> None
     assert (writer.message_count, writer.lost[channel]) == (count, 1)
 
 
-def test_a_disk_that_refuses_the_data_is_the_reason_given(tmp_path: Path) -> None:
+def test_a_disk_that_refuses_the_data_is_the_reason_given(tmp_path):
     writer = started(tmp_path / "bag")
     psutil.Process(writer.process_id).rlimit(psutil.RLIMIT_FSIZE, (10_000, 10_000))
     channel = writer.add_channel("/one", TYPE)
@@ -119,7 +110,7 @@ os.kill(os.getpid(), signal.SIGKILL)
 """
 
 
-def test_what_a_killed_sender_has_sent_can_be_recovered(tmp_path: Path) -> None:
+def test_what_a_killed_sender_has_sent_can_be_recovered(tmp_path):
     """The process ends when the pipe is closed, not by a signal."""
     folder = tmp_path / "bag"
     sender = subprocess.run([sys.executable, "-c", SENDER, folder], stdout=subprocess.PIPE)
@@ -130,9 +121,7 @@ def test_what_a_killed_sender_has_sent_can_be_recovered(tmp_path: Path) -> None:
     assert (message.data, message.log_time) == (MESSAGE, 1)
 
 
-def test_it_gives_up_the_priority_of_the_hand_before_it_imports_anything(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_it_gives_up_the_priority_of_the_hand_before_it_imports_anything(tmp_path, monkeypatch):
     """A module that replaces a library records how it is imported."""
     (tmp_path / "mcap").mkdir()
     (tmp_path / "mcap" / "__init__.py").write_text(
