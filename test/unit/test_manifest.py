@@ -19,7 +19,8 @@ MANIFEST = ElementTree.parse(ROOT / "package.xml").getroot()
 EXEC_DEPENDS = [str(element.text) for element in MANIFEST.findall("exec_depend")]
 # Libraries whose rosdep key or module differs from the name on the Python index.
 KEY_TO_DISTRIBUTION = {"pinocchio": "pin", "python3-yaml": "pyyaml"}
-MODULE_TO_DISTRIBUTION = {"pinocchio": "pin", "yaml": "pyyaml"}
+# Coal comes with Pinocchio.
+MODULE_TO_DISTRIBUTION = {"coal": "pin", "pinocchio": "pin", "yaml": "pyyaml"}
 
 
 def requirements(name: str) -> dict[str, Requirement]:
