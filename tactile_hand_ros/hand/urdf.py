@@ -14,7 +14,6 @@ from tactile_hand_ros.config.hand_config import Coupling, HandConfig, MountConfi
 from tactile_hand_ros.config.plain_yaml import read_text
 from tactile_hand_ros.errors import ConfigurationError, HandModelError
 from tactile_hand_ros.hand.extract import cut_at_palm, moved_links, take_hand
-from tactile_hand_ros.hand.mjcf import urdf_of_mjcf
 
 _GRAVITY = 9.81  # m/s^2
 _MAX_LINKS = 500
@@ -97,6 +96,8 @@ def _parsed(path: Path) -> Element:
             raise HandModelError(f"'{path}' declares a DOCTYPE; expected a URDF, which has none")
         root = ElementTree.fromstring(text)
         if root.tag == "mujoco":
+            from tactile_hand_ros.hand.mjcf import urdf_of_mjcf  # loads Pinocchio
+
             return urdf_of_mjcf(path)
     except ConfigurationError as error:
         raise HandModelError(
