@@ -50,6 +50,7 @@ _GRAVITY = 9.81  # m/s^2
 _PULL = 2.0  # N
 _MOVE, _TURN = 0.005, 0.1  # m and rad
 _LIGHT, _HEAVY = 0.02, 0.2  # kg
+_NEAR = 1e-3, 0.03  # m and rad, errors of a pose that counts as reached
 _SLIPPED = 1e-3  # m, that a table need not mention
 _AXES = (*np.eye(3), *-np.eye(3))
 _SECONDS = 4.0
@@ -68,10 +69,10 @@ def tried(pair: tuple[str, str]) -> list[str]:
         file.write_text(yaml.safe_dump(values))
         pulled = {"kind": "step", "start": 1.0, "force": [0.0, 0.0, -_PULL]}
         results = (
-            _result(file, {}),
+            _result(file, {})[0],
             _moved(file, _moves(found)),
             _moved(file, _turns(found)),
-            _result(file, {"plant.disturbances": [pulled]}),
+            _result(file, {"plant.disturbances": [pulled]})[0],
         )
     return [name, shape, f"{1e3 * body.mass:.0f}", str(found.motions), *results]
 
@@ -101,28 +102,29 @@ def _turns(found: FoundGrasp) -> Iterator[dict[str, Any]]:
 
 
 def _moved(file: Path, targets: Iterator[dict[str, Any]]) -> str:
-    """Return the result of the first target in reach, or why there is none."""
-    reason = ""
+    """Return the result of the first target that is reached, or why there is none."""
+    reason = missed = ""
     for target in targets:
         changes = {"targets": [{"time": 1.0, **target}]}
         try:
             check_scenario(load_scenario(str(file), changes))
         except PoseError as error:
-            reason = reason or str(error).split("; ask")[0]
+            reason = reason or str(error).split("out of reach: ")[-1].split("; ask")[0]
             continue
-        return _result(file, changes)
-    return reason
+        text, reached = _result(file, changes)
+        if reached:
+            return text
+        missed = missed or f"not reached: {text}"
+    return missed or reason
 
 
-def _result(file: Path, changes: dict[str, Any]) -> str:
-    """Return the final errors of a run, and whether it kept the object, or why it cannot run."""
-    try:
-        metrics = simulate(str(file), changes).metrics
-    except TactileHandError as error:
-        return str(error)
+def _result(file: Path, changes: dict[str, Any]) -> tuple[str, bool]:
+    """Return the final errors of a run as text, and whether they are small."""
+    metrics = simulate(str(file), changes).metrics
     position, rotation = metrics.final_position_error_m, metrics.final_rotation_error_rad
     errors = f"{1e3 * position:.2f} mm, {1e3 * rotation:.0f} mrad"
     if not math.isnan(metrics.dropped_at_s):
-        return f"dropped at {metrics.dropped_at_s:.1f} s"
+        return f"dropped at {metrics.dropped_at_s:.1f} s", False
     slid = metrics.max_slip_distance_m
-    return errors if slid <= _SLIPPED else f"{errors}, slid {1e3 * slid:.1f} mm"
+    text = errors if slid <= _SLIPPED else f"{errors}, slid {1e3 * slid:.1f} mm"
+    return text, position < _NEAR[0] and rotation < _NEAR[1]
