@@ -44,6 +44,7 @@ _SUBSTEPS = 10
 # The part of an acceleration that a constraint cancels. The rest lets a loaded tip sink in. It must
 # sink in deeper than rolling lifts it, or its force is interrupted, as at 0.9999 in `pull`.
 _IMPEDANCE = 0.99
+_COUPLED = 0.9999  # the same of coupled joints, the largest: light links sag in between
 _FRICTION_TO_NORMAL = 100.0  # end of the recommended range; creep is that much slower
 _TOLERANCE = 1e-12  # of the solver; an iteration more than with 1e-8
 _ITERATIONS = 100
@@ -194,7 +195,9 @@ class _Builder:
             bodies[frame.parentJoint].add_geom(name=name, type=sphere, **at, **_NO_CONTACT)
         for name, c in hand.couplings.items():
             law = {"type": self._mj.mjtEq.mjEQ_JOINT, "name1": name, "name2": c.joint}
-            made = self._spec.add_equality(**law, solref=self._solref, solimp=self._solimp)
+            made = self._spec.add_equality(
+                **law, solref=self._solref, solimp=[_COUPLED, _COUPLED, 1.0, 0.5, 1.0]
+            )
             made.data[:2] = c.offset, c.ratio  # of a polynomial
 
     def _add_object(self) -> None:

@@ -68,7 +68,7 @@ def test_a_hand_is_printed_with_its_couplings_and_strength_and_drawn(tmp_path, c
     bent = example_posture(hand) + 1e-6 * np.vstack([np.zeros(9), np.eye(9)])
     tips = np.array([hand.tip_positions(theta)[1] for theta in bent])
     levers = np.linalg.norm(tips[1:] - tips[0], axis=1) / 1e-6
-    assert [row[5] for row in rows if row[1:2] == ["f2"]] == [f"{30.0 / levers.max():.2g}"]
+    assert [row[6] for row in rows if row[1:2] == ["f2"]] == [f"{30.0 / levers.max():.2g}"]
     assert (tmp_path / "hand.png").is_file()
     assert "is not a link of" in refused(capsys, "hand", broken_palm(path))
 

@@ -26,7 +26,7 @@ def hand(names: list[str], **more: Any) -> HandConfig:
         (None, "^fingers is None, but should be a valid list.$"),
         ({"thumb": {"tip": "a"}}, "^fingers is {'thumb': {'tip': 'a'}}, but should be a"),
         ([{"name": f"f{i}", "tip": "t", "radius": 0.1} for i in range(33)], "at most 32 items"),
-        ([{"name": f"f{i}", "tip": "t", "radius": 0.1} for i in range(2)], "at least 3 items"),
+        ([{"name": f"f{i}", "tip": "t", "radius": 0.1} for i in range(1)], "at least 2 items"),
     ],
 )
 def test_fingers_of_another_form_or_number_are_refused_in_one_sentence(fingers, message):
