@@ -29,7 +29,7 @@ class ObjectConfig(Config):
     vertices: list[float] = param(
         [], "corners x, y, z of a convex polyhedron", unit="m", max_length=3 * _MAX_VERTICES
     )
-    mass: float = param(0.0018, "mass", unit="kg", gt=0.0)
+    mass: float = param(0.0018, "mass", unit="kg", live=True, gt=0.0)
     inertia: list[float] = param(
         [], "inertia about its axes, empty for a uniform body", unit="kg m^2", max_length=3
     )

@@ -28,7 +28,7 @@ TIERS = (
     ("closed_loop",),
     ("ros", "bag"),
     ("nodes", "run", "report"),
-    ("verify", "steering"),
+    ("verify", "steering", "cockpit"),
     ("orchestrator",),
     ("sweep",),
     ("front_door",),

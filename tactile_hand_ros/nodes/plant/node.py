@@ -18,14 +18,16 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from geometry_msgs.msg import WrenchStamped
 from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool, Trigger
 
 from tactile_hand_ros import names
 from tactile_hand_ros.control.grasp import required_friction
 from tactile_hand_ros.nodes.plant.driver import InProcessHand, PlantDriver
+from tactile_hand_ros.ros import qos
 from tactile_hand_ros.ros.diagnostics import WARN
-from tactile_hand_ros.ros.messages import JointCodec
+from tactile_hand_ros.ros.messages import JointCodec, PushCodec
 from tactile_hand_ros.ros.node import TactileNode
 from tactile_hand_ros.ros.runner import run_node
 from tactile_hand_ros.simulation.plant_config import PlantConfig
@@ -44,13 +46,15 @@ class PlantNode(TactileNode[PlantConfig]):
     (std_msgs/String, URDF). At each change, latched: `joint_hold` (std_msgs/Bool, whether the
     guard holds the joints or commands are still taking over). Once a second: `/diagnostics`.
 
-    Subscription: `joint_command` (sensor_msgs/JointState, effort by joint name, N m; stamped with
-    the tick that it answers).
+    Subscriptions: `joint_command` (sensor_msgs/JointState, effort by joint name, N m; stamped with
+    the tick that it answers), `push` (geometry_msgs/WrenchStamped, frame `palm`: force and torque
+    about the object's center of mass, N and N m; ends 0.2 s after its stamp).
 
     Services: `~/run` (std_srvs/SetBool) continues and pauses, `~/reset` (std_srvs/Trigger) goes
     back to the start at stamp 0.
 
-    Parameters: the fields of `PlantConfig`; `object.friction` is live.
+    Parameters: the fields of `PlantConfig`; `object.friction` and `object.mass` are
+    live.
     """
 
     def __init__(self, *, composed: bool = False, **kwargs: Any) -> None:
@@ -65,6 +69,8 @@ class PlantNode(TactileNode[PlantConfig]):
         super().__init__("plant", PlantConfig, **kwargs)
         self._run = PlantRun(self.config)
         self._driver = PlantDriver(self, self._run)
+        self._decode_push = PushCodec().decode
+        self.subscribe(WrenchStamped, names.PUSH, self._on_push, profile=qos.user_qos(), raw=True)
         self.create_service(Trigger, names.RESET, self._on_reset)
         self.create_service(SetBool, names.RUN, self._on_run)
         if composed:
@@ -80,7 +86,7 @@ class PlantNode(TactileNode[PlantConfig]):
         self._driver.begin()
 
     def on_config(self, config: PlantConfig) -> None:
-        """Apply a changed friction."""
+        """Apply a changed friction or mass."""
         self._run.configure(config)
 
     def to_safe_state(self, reason: str) -> None:
@@ -113,6 +119,9 @@ class PlantNode(TactileNode[PlantConfig]):
     def _on_command(self, data: bytes, info: Mapping[str, Any]) -> None:
         stamp, (torque,) = self._joints.decode(data)
         self._driver.command(stamp, torque, info)
+
+    def _on_push(self, data: bytes) -> None:
+        self._run.push(*self._decode_push(data))
 
     def _on_run(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
         response.success = self._driver.switch(request.data)
