@@ -56,6 +56,7 @@ RESET = "~/reset"
 ENABLE = "~/enable"
 GRASP = "~/grasp"
 RUN = "~/run"
+STEP = "~/step"
 
 PALM_FRAME = "palm"
 

@@ -12,7 +12,7 @@ import sys
 import threading
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from geometry_msgs.msg import PoseStamped, WrenchStamped
@@ -32,15 +32,13 @@ from tactile_hand_ros.ros.parameters import ros_type, to_parameter
 from tactile_hand_ros.ros.processes import PACKAGE
 from tactile_hand_ros.scenario.scenario import NODES, Scenario
 
-if TYPE_CHECKING:
-    from tactile_hand_ros.cockpit.node import CockpitNode
-
 MOST_FORCE = 30.0
 """Largest force of a push [N]: what a hand on the object could do with ease."""
 
 _CALLS = {
     "run": (SetBool, names.PLANT, "run", True),
     "pause": (SetBool, names.PLANT, "run", False),
+    "step": (Trigger, names.PLANT, "step", None),
     "reset": (Trigger, names.PLANT, "reset", None),
     "grasp": (SetBool, names.CONTROLLER, "grasp", True),
     "release": (SetBool, names.CONTROLLER, "grasp", False),
@@ -69,8 +67,8 @@ def live_parameters() -> dict[str, dict[str, Any]]:
 class Commands:
     """Carries out the commands of the driving tab; called from the executor of the node."""
 
-    def __init__(self, node: CockpitNode) -> None:
-        """Create the publishers; clients are created on first use."""
+    def __init__(self, node: Any) -> None:
+        """Create the publishers; `node` is the cockpit."""
         self._node, self._clients = node, dict[str, Any]()
         make, profile = node.create_publisher, qos.user_qos()
         self._pose = make(PoseStamped, names.DESIRED_POSE, profile)

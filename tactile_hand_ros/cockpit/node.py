@@ -22,11 +22,11 @@ from std_msgs.msg import String, UInt8MultiArray
 from tactile_hand_ros import names
 from tactile_hand_ros.cdr import ContentReader
 from tactile_hand_ros.cockpit.commands import MOST_FORCE, Commands
+from tactile_hand_ros.cockpit.config import LINK, CockpitConfig
 from tactile_hand_ros.cockpit.events import Watch
 from tactile_hand_ros.cockpit.picture import KEPT, Picture
 from tactile_hand_ros.cockpit.server import Reply, Server
 from tactile_hand_ros.config.hand_config import load_hand_config
-from tactile_hand_ros.config.model import Config, param
 from tactile_hand_ros.errors import TactileHandError
 from tactile_hand_ros.report import model
 from tactile_hand_ros.report.page import live_page
@@ -37,7 +37,6 @@ from tactile_hand_ros.ros.node import TactileNode
 from tactile_hand_ros.ros.relay import unpack_batch
 from tactile_hand_ros.ros.runner import run_node
 from tactile_hand_ros.scenario.scenario import NODES
-from tactile_hand_ros.simulation.plant_config import ObjectConfig
 from tactile_hand_ros.simulation.plant_run import PUSH_LASTS
 
 _STATUS_PERIOD = 0.25  # s between two looks at ages and health
@@ -45,17 +44,6 @@ _SILENT = 2.5  # s without diagnostics, which come every second
 _EVENTS = 200  # kept
 _SHOWN = ("rate_hz", "latency_p99_us", "late_commands", "mode", "rejected")
 _STALE = 3
-
-
-class CockpitConfig(Config):
-    """Configuration of the cockpit."""
-
-    name: str = param("live", "title of the page")
-    hand: str = param("paper", "hand by name or YAML file")
-    object: ObjectConfig = ObjectConfig()
-    address: str = param("127.0.0.1", "address to listen on; beyond this machine only behind TLS")
-    port: int = param(0, "port, 0 for any free one", ge=0, le=65535)
-    bag: str = param("", "bag that is being recorded, to save a part of it")
 
 
 class CockpitNode(TactileNode[CockpitConfig]):
@@ -97,7 +85,7 @@ class CockpitNode(TactileNode[CockpitConfig]):
         self._server = Server(
             self, live_page(self.config.name), self.config.address, self.config.port
         )
-        print(f"cockpit: {self._server.link}", flush=True)
+        print(f"{LINK}{self._server.link}", flush=True)
 
     def _subscribe(self) -> None:
         user = qos.user_qos()
@@ -172,6 +160,7 @@ class CockpitNode(TactileNode[CockpitConfig]):
             self._begin(states[0])
         picture = self.picture
         assert picture is not None
+        total = picture.total
         for error in picture.take(batch):
             self.reject("ticks", error)
         if picture.epoch != self._epoch:
@@ -179,7 +168,7 @@ class CockpitNode(TactileNode[CockpitConfig]):
             self._events.clear()
         for event in self._watch.step(picture):
             self._events.append(event | {"id": self._next()})
-        if names.JOINT_STATES in batch:
+        if picture.total != total:
             self._server.notify()
 
     def _begin(self, data: bytes) -> None:

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import threading
+import time
 from collections.abc import Iterator, Mapping, Sequence
 from typing import NamedTuple
 
@@ -25,7 +26,7 @@ ROWS_PER_BATCH = 4
 """Rows made of a batch; more than a screen can show at 30 pictures a second helps nobody."""
 
 _HOLD = 50_000_000  # ns that a value stands for a tick without one; then it is unknown
-_MEMORY = 100_000_000  # ns of messages kept, for those of other nodes that arrive later
+_ALIVE = 0.15  # s, four batches, without a message after which no row waits for a topic any more
 
 
 class Source(NamedTuple):
@@ -79,21 +80,28 @@ class Track:
         stamps: Timestamps in ascending order, ns, shape (n,).
         values: Numbers of each message, shape (n, width).
         new: Number of messages in the last batch.
+        heard: When the last message came, s of the steady clock.
     """
 
     def __init__(self, width: int) -> None:
         """Start without values."""
-        self.stamps, self.values, self.new = np.empty(0, np.int64), np.empty((0, width)), 0
+        self.stamps, self.values = np.empty(0, np.int64), np.empty((0, width))
+        self.new, self.heard = 0, -np.inf
 
     def add(self, stamps: Stamps, values: Array) -> bool:
         """Append a batch; return whether time has been set back, which forgets what was before."""
         joined = np.concatenate([self.stamps, stamps])
-        self.values, self.new = np.vstack([self.values, values]), len(stamps)
         back = np.flatnonzero(np.diff(joined) < 0)
-        start = int(back[-1]) + 1 if len(back) else int(joined.searchsorted(joined[-1] - _MEMORY))
-        self.stamps, self.values = joined[start:], self.values[start:]
-        self.new = min(self.new, len(self.stamps))
+        start = int(back[-1]) + 1 if len(back) else 0
+        self.stamps = joined[start:]
+        self.values = np.vstack([self.values, values])[start:]
+        self.new, self.heard = min(len(stamps), len(self.stamps)), time.monotonic()
         return bool(len(back))
+
+    def forget(self, stamp: int) -> None:
+        """Forget what came before a stamp, ns, and what was new."""
+        start = int(self.stamps.searchsorted(stamp))
+        self.stamps, self.values, self.new = self.stamps[start:], self.values[start:], 0
 
     def at(self, stamps: Stamps) -> Array:
         """Return the values at some stamps, shape (n, width); NaN where there is none."""
@@ -136,7 +144,7 @@ class Picture:
 
     def _forget(self) -> None:
         self.total, self.desired, self.push = 0, np.full(7, np.nan), np.zeros(6)
-        self.push_end = 0
+        self.push_end, self._shown = 0, -1
         self.tracks = {
             topic: Track(sum(width for _, width in source.groups))
             for topic, source in self._sources.items()
@@ -145,7 +153,7 @@ class Picture:
     def take(self, batch: Mapping[str, Sequence[bytes]]) -> Iterator[MessageError]:
         """Read the messages of a batch by topic, make rows, and yield an error for a bad topic."""
         for track in self.tracks.values():
-            track.new = 0
+            track.forget(self._shown - _HOLD)
         for topic, messages in batch.items():
             if not messages or topic not in self._sources:
                 continue
@@ -169,13 +177,20 @@ class Picture:
         return int(stamps[-1]) if len(stamps) else 0
 
     def _append(self) -> None:
-        joints = self.tracks[names.JOINT_STATES]
-        if not joints.new:
+        """Make rows of the ticks of which everything has come that still comes."""
+        since = time.monotonic() - _ALIVE
+        alive = [
+            track.stamps[-1]
+            for track in self.tracks.values()
+            if track.heard > since and len(track.stamps)
+        ]
+        ticks = np.unique(self.tracks[names.JOINT_STATES].stamps)
+        ticks = ticks[(ticks > self._shown) & (ticks <= min(alive, default=-1))]
+        if not len(ticks):
             return
-        ticks = np.unique(joints.stamps[-joints.new :])
-        stamps = ticks[np.linspace(0, len(ticks), ROWS_PER_BATCH + 1).astype(int)[1:] - 1]
-        stamps = np.unique(stamps)
-        made = self._made(stamps)
+        chosen = np.linspace(0, len(ticks), min(len(ticks), ROWS_PER_BATCH) + 1).astype(int)[1:]
+        stamps = ticks[chosen - 1]
+        made, self._shown = self._made(stamps), int(stamps[-1])
         with self._lock:
             places = (self.total + np.arange(len(stamps))) % KEPT
             self._times[places], self._rows[places] = 1e-9 * stamps, made

@@ -160,6 +160,13 @@ class PlantConfig(Config):
     pacing: Literal["lockstep", "realtime"] = param(
         "lockstep", "lockstep waits for each command, realtime follows the wall clock"
     )
+    speed: float = param(
+        0.0,
+        "simulated seconds per second in lockstep, at most; 0 for as fast as possible",
+        live=True,
+        ge=0.0,
+        le=100.0,
+    )
     duration: float = param(0.0, "simulated time of the run, 0 for no end", unit="s", ge=0.0)
     autostart: bool = param(True, "run immediately; otherwise wait for the run service")
     command_timeout: float = param(

@@ -18,6 +18,7 @@ from tactile_hand_ros.ros import processes as executables
 ROOT = Path(__file__).resolve().parents[2]
 PACKAGE = "tactile_hand_ros"
 EXECUTABLES = [
+    "cockpit",
     "composed",
     "controllers",
     "force_optimizer",

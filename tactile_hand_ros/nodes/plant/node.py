@@ -50,11 +50,12 @@ class PlantNode(TactileNode[PlantConfig]):
     the tick that it answers), `push` (geometry_msgs/WrenchStamped, frame `palm`: force and torque
     about the object's center of mass, N and N m; ends 0.2 s after its stamp).
 
-    Services: `~/run` (std_srvs/SetBool) continues and pauses, `~/reset` (std_srvs/Trigger) goes
+    Services: `~/run` (std_srvs/SetBool) continues and pauses, `~/step` (std_srvs/Trigger) advances
+    a paused run by one tick, `~/reset` (std_srvs/Trigger) goes
     back to the start at stamp 0.
 
-    Parameters: the fields of `PlantConfig`; `object.friction` and `object.mass` are
-    live.
+    Parameters: the fields of `PlantConfig`; `object.friction`, `object.mass` and
+    `speed` are live.
     """
 
     def __init__(self, *, composed: bool = False, **kwargs: Any) -> None:
@@ -73,6 +74,8 @@ class PlantNode(TactileNode[PlantConfig]):
         self.subscribe(WrenchStamped, names.PUSH, self._on_push, profile=qos.user_qos(), raw=True)
         self.create_service(Trigger, names.RESET, self._on_reset)
         self.create_service(SetBool, names.RUN, self._on_run)
+        self.create_service(Trigger, names.STEP, self._on_step)
+        self._driver.limit_speed(self.config.speed)
         if composed:
             self.work = self._driver.work
         else:
@@ -86,8 +89,9 @@ class PlantNode(TactileNode[PlantConfig]):
         self._driver.begin()
 
     def on_config(self, config: PlantConfig) -> None:
-        """Apply a changed friction or mass."""
+        """Apply a changed friction, mass or speed."""
         self._run.configure(config)
+        self._driver.limit_speed(config.speed)
 
     def to_safe_state(self, reason: str) -> None:
         """Hold the joints."""
@@ -126,6 +130,11 @@ class PlantNode(TactileNode[PlantConfig]):
     def _on_run(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
         response.success = self._driver.switch(request.data)
         response.message = self._driver.mode
+        return response
+
+    def _on_step(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        response.success = self._driver.step_once()
+        response.message = self._driver.mode if response.success else "the plant is not paused"
         return response
 
     def _on_reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
