@@ -26,7 +26,7 @@ ROWS_PER_BATCH = 4
 """Rows made of a batch; more than a screen can show at 30 pictures a second helps nobody."""
 
 _HOLD = 50_000_000  # ns that a value stands for a tick without one; then it is unknown
-_ALIVE = 0.15  # s, four batches, without a message after which no row waits for a topic any more
+_ALIVE = 0.4  # s, twelve batches, without a message after which no row waits for a topic any more
 
 
 class Source(NamedTuple):

@@ -85,6 +85,7 @@ function plots(page) {
   if (page.scene && began > (page.trailDue ?? 0)) {
     page.trailDue = began + TRAIL;
     page.scene.renewTrail();
+    page.scene.rescale();
   }
   page.plotDue = began + Math.max(PLOTTING[0], PLOTTING[1] * (performance.now() - began));
 }
@@ -147,10 +148,19 @@ function bar(page) {
     follow.setAttribute("aria-pressed", String(player.playing));
     if (player.playing) back.value = 1000;
   });
-  const run = (what, text, label) => button(text, label, () => page.act({ do: what }));
-  return el("div", { class: "transport" }, run("pause", "pause", "pause the simulation"), run("run", "run", "let the simulation run"), run("reset", "reset", "back to the start"), back, follow);
+  const act = (what, text, label) => button(text, label, () => page.act({ do: what }));
+  const speed = el(
+    "select",
+    { "aria-label": "speed", title: "times real time, at most", onchange: () => page.act({ do: "set", node: "plant", name: "speed", value: Number(speed.value) }) },
+    ...SPEEDS.map(([value, text]) => el("option", { value, selected: value === 1 }, text)),
+  );
+  page.speed = speed;
+  const toggle = button("pause", "pause or run the simulation", () => page.act({ do: toggle.textContent }));
+  page.toggle = toggle;
+  return el("div", { class: "transport" }, toggle, act("step", "step", "one tick on, while it is paused"), act("reset", "reset", "back to the start"), speed, back, follow);
 }
 
+const SPEEDS = [[0.1, "0.1\u00d7"], [0.25, "0.25\u00d7"], [0.5, "0.5\u00d7"], [1, "1\u00d7"], [2, "2\u00d7"], [0, "max"]];
 const MODES = { running: "good", holding: "bad", paused: "", finished: "" };
 
 function showState(page) {
@@ -160,6 +170,7 @@ function showState(page) {
   const word = source.problem || (!source.connected ? "no connection, trying again" : silent ? "the hand is silent" : plant ? plant.mode : "no hand");
   page.state.textContent = word;
   page.state.className = `verdict ${!source.connected || silent ? "bad" : (MODES[word] ?? "")}`;
+  if (page.toggle) page.toggle.textContent = plant?.mode === "paused" ? "run" : "pause";
   page.lease.textContent = source.drives ? "this tab drives" : "take over";
   page.lease.disabled = source.drives || !source.connected;
   document.documentElement.dataset.drives = source.drives;

@@ -19,13 +19,17 @@ export function controls(page) {
       onchange: () => send(Number(input.value)),
     });
     value[name] = (given) => {
-      if (document.activeElement === input) return;
+      if (document.activeElement === input || !Number.isFinite(Number(given))) return;
       input.value = given;
       out.textContent = `${Number(given).toPrecision(3)} ${unit}`;
     };
     return el("div", { class: "row" }, el("label", { for: input.id }, label), input, out);
   };
   const set = (node, name) => (given) => act({ do: "set", node, name, value: given });
+  const request = (given) => {
+    if (mode.value === "auto") page.say("The regulator chooses the grasp force itself; let user or shared choose it.");
+    return act({ do: "force", value: given });
+  };
   const mode = el("select", { "aria-label": "who chooses the grasp force", onchange: () => set("slip_regulator", "mode")(mode.value) }, ...["user", "shared", "auto"].map((text) => el("option", { value: text }, text)));
   const goals = [["translate", "move"], ["rotate", "turn"], [null, "off"]].map(([kind, text]) =>
     button(text, () => {
@@ -41,7 +45,7 @@ export function controls(page) {
     "section",
     { class: "panel steer" },
     el("h2", {}, "Steer ", el("small", {}, "drag the object to pull at it")),
-    slider("force", "grasp force", "N", { max: 60, step: 0.5, send: (given) => act({ do: "force", value: given }) }),
+    slider("force", "grasp force", "N", { max: 60, step: 0.5, send: request }),
     el("div", { class: "row" }, el("span", {}, "chosen by"), mode, el("span", { class: "chips" }, button("release", () => act({ do: "release" })), button("grasp", () => act({ do: "grasp" })))),
     el("div", { class: "row" }, el("span", {}, "goal handles"), el("span", { class: "chips" }, ...goals)),
     slider("friction", "friction", "", { max: 1.5, step: 0.01, send: set("plant", "object.friction") }),
@@ -49,7 +53,7 @@ export function controls(page) {
     el("div", { class: "row" }, el("span", {}, "pull for 1 s"), newtons, el("span", { class: "chips" }, ...pulls)),
     el("div", { class: "row" }, el("span", {}, "keep"), el("span", { class: "chips" }, button("mark", () => act({ do: "mark", text: "a user's mark" })), save, report)),
   );
-  load(page, value, mode);
+  load(page, value, mode, element);
   save.hidden = !source.run.saves;
   const update = () => {
     report.hidden = !source.status.report;
@@ -60,8 +64,10 @@ export function controls(page) {
 }
 
 /** Show the values in force. */
-async function load({ source }, value, mode) {
-  for (const [node, wanted] of [["plant", { "object.friction": value.friction, "object.mass": value.mass }], ["slip_regulator", { mode: (given) => (mode.value = given) }]]) {
+async function load({ source, speed }, value, mode, element) {
+  const plant = { "object.friction": value.friction, "object.mass": value.mass, speed: (given) => (speed.value = given) };
+  const regulator = { mode: (given) => (mode.value = given), maximum: (given) => (element.querySelector("#set-force").max = given) };
+  for (const [node, wanted] of [["plant", plant], ["slip_regulator", regulator]]) {
     const { ok, text } = await source.ask({ do: "parameters", node });
     for (const one of ok ? JSON.parse(text) : []) wanted[one.name]?.(one.value);
   }

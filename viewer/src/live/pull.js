@@ -7,6 +7,7 @@ import { rowOf } from "../data.js";
 import { segments } from "../scene/lines.js";
 
 const PERIOD = 33; // ms between two commands of a drag; a push is renewed as often
+const GONE = 500; // ms without a contact
 const WIDTHS = 4; // object radii that the mouse moves for the largest force
 
 /** Lets a pointer pull at the object of a scene; `told(force)` is called with N, null at the end. */
@@ -38,6 +39,7 @@ export class Spring {
     return Boolean(this.point);
   }
 
+  /** Return a ray from the camera through a pointer. */
   _ray(event) {
     const { left, top, width, height } = this.canvas.getBoundingClientRect();
     const place = new THREE.Vector2(((event.clientX - left) / width) * 2 - 1, 1 - ((event.clientY - top) / height) * 2);
@@ -51,7 +53,7 @@ export class Spring {
     if (event.target !== this.canvas || event.button !== 0 || !solid?.known || !this.wanted()) return;
     solid.group.updateMatrixWorld(true);
     const meshes = solid.group.children.filter((part) => part.isMesh);
-    const hit = this._ray(event).ray && this._ray(event).intersectObjects(meshes, false)[0];
+    const hit = this._ray(event).intersectObjects(meshes, false)[0];
     if (!hit) return;
     event.stopPropagation();
     this.canvas.setPointerCapture(event.pointerId);
@@ -64,6 +66,7 @@ export class Spring {
     this.point = this.scene.solid.group.worldToLocal(point.clone());
     this.plane = plane;
     this.target = point.clone();
+    this.touched = performance.now();
     this.timer = setInterval(() => this._renew(), PERIOD);
   }
 
@@ -80,7 +83,8 @@ export class Spring {
     if (!this.holds || (moved && now - this.sent < PERIOD / 2)) return;
     this.sent = now;
     const { solid } = this.scene;
-    if (!this._touched()) {
+    if (this._touched()) this.touched = now;
+    if (now - this.touched > GONE) {
       this.release(); // it has left the hand: nothing would balance the pull
       return;
     }

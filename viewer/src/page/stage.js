@@ -87,9 +87,13 @@ function tools(scene, player, element) {
 }
 
 function scaleNote(scene) {
-  const newtons = nice(scene.size / scene.newton);
-  const cubic = Math.round(1000 * scene.newton * newtons);
-  return el("div", { class: "scale" }, `arrows: force on the object, ${newtons} N is ${cubic} mm long`);
+  const note = el("div", { class: "scale" });
+  scene.rescaled = () => {
+    const newtons = nice(scene.size / scene.newton);
+    note.textContent = `arrows: force on the object, ${newtons} N is ${Math.round(1000 * scene.newton * newtons)} mm long`;
+  };
+  scene.rescaled();
+  return note;
 }
 
 function nice(value) {
