@@ -44,6 +44,7 @@ _SILENT = 2.5  # s without diagnostics, which come every second
 _EVENTS = 200  # kept
 _SHOWN = ("rate_hz", "latency_p99_us", "late_commands", "mode", "rejected")
 _STALE = 3
+_NOTHING: dict[str, Any] = {"nodes": [], "margins": {}, "events": [], "response": {}}
 
 
 class CockpitNode(TactileNode[CockpitConfig]):
@@ -75,7 +76,7 @@ class CockpitNode(TactileNode[CockpitConfig]):
         self._health: dict[str, dict[str, Any]] = {}
         self._margins: dict[str, str] = {}
         self._epoch, self._notice = 0, ""
-        self._status: dict[str, Any] = {}
+        self.status: dict[str, Any] = _NOTHING
         self._subscribe()
         self.commands = Commands(self)
         self.commands.connect()
@@ -124,10 +125,6 @@ class CockpitNode(TactileNode[CockpitConfig]):
             "nodes": NODES,
             "saves": bool(config.bag),
         }
-
-    def status(self) -> dict[str, Any]:
-        """Return health, margins, events and the last response to a slip."""
-        return self._status
 
     def submit(self, command: Mapping[str, Any], reply: Reply) -> None:
         """Queue a command for the thread of the node."""
@@ -240,14 +237,16 @@ class CockpitNode(TactileNode[CockpitConfig]):
                 shown |= {"level": _STALE, "message": f"silent for {age:.0f} s"}
             alone = self.process_of(name) is not None
             nodes.append({**shown, "name": name, "age": round(age, 1), "alone": alone})
-        self._status = {
+        status = {
             "nodes": nodes,
             "margins": dict(sorted(self._margins.items())),
             "events": list(self._events)[-_EVENTS:],
             "response": dict(self._watch.response),
             "report": self.report is not None,
         }
-        self._server.notify()
+        if status != self.status:
+            self.status = status
+            self._server.notify()
         self.diagnostics.tick()
 
 

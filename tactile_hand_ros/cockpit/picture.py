@@ -6,13 +6,12 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tactile_hand_ros import names
-from tactile_hand_ros.cdr import tables
+from tactile_hand_ros.cdr import Layout, Table, tables
 from tactile_hand_ros.control.grasp import required_friction
 from tactile_hand_ros.errors import BagError, MessageError
 from tactile_hand_ros.rotations import rotation_from_quaternion
@@ -29,11 +28,14 @@ _HOLD = 50_000_000  # ns that a value stands for a tick without one; then it is 
 _ALIVE = 0.4  # s, twelve batches, without a message after which no row waits for a topic any more
 
 
-class Source(NamedTuple):
+class Source:
     """A tick topic: its type, and which groups of numbers are read, with their widths."""
 
-    kind: str
-    groups: tuple[tuple[str, int], ...]
+    def __init__(self, kind: str, groups: Mapping[str, int]) -> None:
+        """Start without a layout; the first message gives it."""
+        self._kind, self._groups = kind, groups
+        self.width = sum(groups.values())
+        self._layout: Layout | None = None
 
     def read(self, messages: Sequence[bytes]) -> tuple[Stamps, Array]:
         """Return stamps, ns, shape (n,), and numbers, shape (n, width), oldest first.
@@ -42,35 +44,48 @@ class Source(NamedTuple):
             MessageError: If a message is of another type or lacks a number.
         """
         try:
-            found = list(tables(self.kind, messages))
-            parts = [[table.doubles(name) for name, _ in self.groups] for table in found]
+            found = self._tables(messages)
+            rows = [
+                np.hstack([table.doubles(name)[:, :width] for name, width in self._groups.items()])
+                for table in found
+            ]
         except (BagError, KeyError, ValueError) as error:
-            raise MessageError(f"a message is not a {self.kind}: {error}") from None
-        for part in parts:
-            for values, (name, width) in zip(part, self.groups, strict=True):
-                if values.shape[1] < width:
-                    raise MessageError(f"{name} has {values.shape[1]} numbers, expected {width}")
+            raise MessageError(f"a message is not a {self._kind}: {error}") from None
+        if wrong := [each.shape[1] for each in rows if each.shape[1] != self.width]:
+            raise MessageError(f"a message has {wrong[0]} numbers, expected {self.width}")
         order = np.argsort(np.concatenate([table.rows for table in found]))
-        widths = [width for _, width in self.groups]
-        rows = [np.hstack([v[:, :w] for v, w in zip(p, widths, strict=True)]) for p in parts]
         return np.concatenate([t.stamps for t in found])[order], np.vstack(rows)[order]
+
+    def _tables(self, messages: Sequence[bytes]) -> list[Table]:
+        """Return the messages as tables; one table without parsing if their layout is known."""
+        layout, joined = self._layout, b"".join(messages)
+        if layout is not None and {len(data) for data in messages} == {self._size}:
+            matrix = np.frombuffer(joined, np.uint8).reshape(-1, self._size)
+            if (matrix[:, self._fixed] == self._same).all():
+                return [Table(np.arange(len(matrix)), layout, matrix)]
+        found = list(tables(self._kind, messages))
+        self._layout, self._size = found[-1].layout, found[-1].matrix.shape[1]
+        self._fixed = np.concatenate([np.arange(*ends) for ends in found[-1].layout.fixed])
+        self._same = found[-1].matrix[0, self._fixed]
+        return found
 
 
 def sources(fingers: Sequence[str], joints: int) -> dict[str, Source]:
     """Return the tick topics of a hand with `joints` joints, by name."""
     k, joint, pose = len(fingers), "sensor_msgs/msg/JointState", "geometry_msgs/msg/PoseStamped"
-    wrench = Source("geometry_msgs/msg/WrenchStamped", (("wrench", 3),))
     found = {
-        names.JOINT_STATES: Source(joint, (("position", joints), ("velocity", joints))),
-        names.CONTACTS: Source("geometry_msgs/msg/PoseArray", (("poses", 7 * k),)),
-        names.GRASP_FORCE: wrench,
-        names.GRIP_STATE: Source(joint, (("position", k), ("effort", k))),
-        names.TRUE_SLIP: Source(joint, (("velocity", k),)),
-        names.AUXILIARY_POSE: Source(pose, (("pose", 7),)),
-        names.OBJECT_POSE: Source(pose, (("pose", 7),)),
+        names.JOINT_STATES: Source(joint, {"position": joints, "velocity": joints}),
+        names.CONTACTS: Source("geometry_msgs/msg/PoseArray", {"poses": 7 * k}),
+        names.GRIP_STATE: Source(joint, {"position": k, "effort": k}),
+        names.TRUE_SLIP: Source(joint, {"velocity": k}),
+        names.AUXILIARY_POSE: Source(pose, {"pose": 7}),
+        names.OBJECT_POSE: Source(pose, {"pose": 7}),
     }
     each = [topic(name) for name in fingers for topic in (names.wrench, names.optimal_force)]
-    return found | dict.fromkeys(each, wrench)
+    wrenches = [names.GRASP_FORCE, *each]
+    return found | {
+        topic: Source("geometry_msgs/msg/WrenchStamped", {"wrench": 3}) for topic in wrenches
+    }
 
 
 class Track:
@@ -145,10 +160,7 @@ class Picture:
     def _forget(self) -> None:
         self.total, self.desired, self.push = 0, np.full(7, np.nan), np.zeros(6)
         self.push_end, self._shown = 0, -1
-        self.tracks = {
-            topic: Track(sum(width for _, width in source.groups))
-            for topic, source in self._sources.items()
-        }
+        self.tracks = {topic: Track(source.width) for topic, source in self._sources.items()}
 
     def take(self, batch: Mapping[str, Sequence[bytes]]) -> Iterator[MessageError]:
         """Read the messages of a batch by topic, make rows, and yield an error for a bad topic."""

@@ -40,12 +40,10 @@ class Host(Protocol):
 
     picture: Picture | None
     report: Path | None
+    status: dict[str, Any]  # replaced as a whole a few times a second
 
     def hello(self) -> dict[str, Any]:
         """Return what a tab must know before the first picture."""
-
-    def status(self) -> dict[str, Any]:
-        """Return what changes a few times a second."""
 
     def submit(self, command: Mapping[str, Any], reply: Reply) -> None:
         """Carry out a command; `reply` may be called from any thread."""
@@ -68,7 +66,7 @@ class Tab:
         self.number, self._socket = number, socket
         self.epoch, self.total = -1, 0
         self.is_ready, self.news = asyncio.Event(), asyncio.Event()
-        self._told = ""
+        self._told: tuple[Any, int] = ({}, -1)
 
     async def serve(self, host: Host, driver: Callable[[], int]) -> None:
         """Send a picture whenever there is news and the tab is ready for it."""
@@ -80,10 +78,10 @@ class Tab:
             if picture is not None and picture.epoch != self.epoch:
                 self.epoch, self.total = picture.epoch, 0
                 await self.send({"hello": host.hello()})
-            status = json.dumps({"status": host.status() | {"driver": driver()}})
+            status = host.status, driver()
             if status != self._told:
                 self._told = status
-                await self._socket.send_str(status)
+                await self.send({"status": host.status | {"driver": driver()}})
             if picture is not None and picture.total != self.total:
                 self.total, times, rows = picture.since(self.total)
                 head = _HEAD.pack(self.epoch, *rows.shape)
