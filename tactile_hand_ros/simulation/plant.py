@@ -250,7 +250,7 @@ class Plant:
             wrench = wrench + apparent_wrench(turning, (self._world.mass, inertia), body_motion)
         if self.config.disturbances:
             wrench = external_wrench(self.config.disturbances, middle) + wrench
-        if self.time < self._push_end:
+        if middle < self._push_end:
             wrench = self._push + wrench
         self._now = self._within_limits(h, terms, wrench)
         self.relaxed_steps += self._now.outcome == RELAXED

@@ -103,7 +103,7 @@ class Graph:
         """Start everything and wait until all have matched each other."""
         try:
             if self._composed:
-                self._launch("composed", NODES)
+                self.start_composed()
             else:
                 for name in NODES:
                     self.start(name)
@@ -126,6 +126,10 @@ class Graph:
     def start(self, name: str) -> CapturedProcess:
         """Start or restart a node with the parameters of the scenario."""
         return self._launch(name, [name])
+
+    def start_composed(self) -> CapturedProcess:
+        """Start or restart all nodes in one process."""
+        return self._launch("composed", NODES)
 
     def _launch(self, executable: str, nodes: Iterable[str], *words: str) -> CapturedProcess:
         arguments = ["-r", f"__ns:={self.namespace}"] if self.namespace else []
