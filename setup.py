@@ -67,7 +67,7 @@ setup(
     ],
     extras_require={
         "cli": ["typer>=0.12.4,<1", "rich>=13,<15", "psutil>=5.9,<8"],
-        "cockpit": ["aiohttp>=3.10,<4"],
+        "cockpit": ["aiohttp>=3.9,<4"],
         "figures": ["matplotlib>=3.6,<4", "scipy>=1.11,<2"],
         "fast": ["numba>=0.60"],
         "study": ["joblib>=1.3,<2", "dask>=2024.1", "distributed>=2024.1"],

@@ -72,7 +72,8 @@ class CockpitNode(TactileNode[CockpitConfig]):
         self.picture: Picture | None = None
         self.report: Path | None = None
         self._watch, self._events = Watch(), deque[dict[str, Any]](maxlen=_EVENTS)
-        self._description, self._tree, self._number = "", None, 0
+        self._description, self._number = "", 0
+        self._tree: dict[str, Any] | None = None
         self._health: dict[str, dict[str, Any]] = {}
         self._margins: dict[str, str] = {}
         self._epoch, self._notice = 0, ""

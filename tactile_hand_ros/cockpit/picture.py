@@ -36,6 +36,8 @@ class Source:
         self._kind, self._groups = kind, groups
         self.width = sum(groups.values())
         self._layout: Layout | None = None
+        self._size = 0
+        self._fixed, self._same = np.empty(0, np.int64), np.empty(0, np.uint8)
 
     def read(self, messages: Sequence[bytes]) -> tuple[Stamps, Array]:
         """Return stamps, ns, shape (n,), and numbers, shape (n, width), oldest first.
@@ -61,7 +63,7 @@ class Source:
         layout, joined = self._layout, b"".join(messages)
         if layout is not None and {len(data) for data in messages} == {self._size}:
             matrix = np.frombuffer(joined, np.uint8).reshape(-1, self._size)
-            if (matrix[:, self._fixed] == self._same).all():
+            if bool(np.all(matrix.take(self._fixed, axis=1) == self._same)):
                 return [Table(np.arange(len(matrix)), layout, matrix)]
         found = list(tables(self._kind, messages))
         self._layout, self._size = found[-1].layout, found[-1].matrix.shape[1]
