@@ -16,7 +16,9 @@ from typing import Any
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
-from geometry_msgs.msg import PoseStamped, WrenchStamped
+from geometry_msgs.msg import PoseArray, PoseStamped, WrenchStamped
+from rclpy.qos import QoSProfile, QoSReliabilityPolicy
+from sensor_msgs.msg import JointState
 from std_msgs.msg import String, UInt8MultiArray
 
 from tactile_hand_ros import names
@@ -31,10 +33,10 @@ from tactile_hand_ros.errors import TactileHandError
 from tactile_hand_ros.report import model
 from tactile_hand_ros.report.page import live_page
 from tactile_hand_ros.ros import qos
-from tactile_hand_ros.ros.endpoints import described
+from tactile_hand_ros.ros.endpoints import described, subscribe_directly, taken
 from tactile_hand_ros.ros.messages import PoseCodec, PushCodec
 from tactile_hand_ros.ros.node import TactileNode
-from tactile_hand_ros.ros.relay import unpack_batch
+from tactile_hand_ros.ros.relay import PERIOD, unpack_batch
 from tactile_hand_ros.ros.runner import run_node
 from tactile_hand_ros.scenario.scenario import NODES
 from tactile_hand_ros.simulation.plant_run import PUSH_LASTS
@@ -51,7 +53,8 @@ class CockpitNode(TactileNode[CockpitConfig]):
     """Offers a page that shows and steers one hand.
 
     Subscriptions: `_ticks/<node>` (std_msgs/UInt8MultiArray, batches of tick messages) of plant,
-    sensor, regulator, optimizer and controller; `accepted/desired_pose`, `push`,
+    sensor, regulator, optimizer and controller; with `drivers` also `joint_states`,
+    `tactile/contacts` and `tactile/<finger>/wrench`, each message; `accepted/desired_pose`, `push`,
     `rejected/<node>`, `robot_description`, `/diagnostics`.
 
     Publications, only on demand: `desired_pose`, `user_grasp_force`, `push` (geometry_msgs/
@@ -78,6 +81,7 @@ class CockpitNode(TactileNode[CockpitConfig]):
         self._margins: dict[str, str] = {}
         self._epoch, self._notice = 0, ""
         self.status: dict[str, Any] = _NOTHING
+        self._direct: dict[str, Any] = {}
         self._subscribe()
         self.commands = Commands(self)
         self.commands.connect()
@@ -95,12 +99,27 @@ class CockpitNode(TactileNode[CockpitConfig]):
             topic = names.ticks_of(node)
             self.subscribe(UInt8MultiArray, topic, self._on_batch, profile=user)
             self.subscribe(DiagnosticArray, names.rejected(node), self._on_rejected_command)
+        if self.config.drivers:
+            self._subscribe_to_drivers()
         latched = qos.latched_qos()
         self.subscribe(String, names.ROBOT_DESCRIPTION, self._on_description, profile=latched)
         self._decode_pose, self._decode_push = PoseCodec().decode, PushCodec().decode
         self.subscribe(PoseStamped, names.ACCEPTED_POSE, self._on_pose, profile=user, raw=True)
         self.subscribe(WrenchStamped, names.PUSH, self._on_push, profile=user, raw=True)
         self.subscribe(DiagnosticArray, names.DIAGNOSTICS, self._on_diagnostics, profile=user)
+
+    def _subscribe_to_drivers(self) -> None:
+        kinds: dict[str, Any] = {names.JOINT_STATES: JointState, names.CONTACTS: PoseArray}
+        kinds |= {names.wrench(name): WrenchStamped for name in self._fingers.finger_names}
+        # Drivers may publish with best effort, and what is lost here is only not shown.
+        profile = QoSProfile(depth=qos.PUBLISHED_DEPTH)
+        profile.reliability = QoSReliabilityPolicy.BEST_EFFORT
+        for topic, kind in kinds.items():
+            self._direct[topic] = subscribe_directly(self, kind, topic, profile)
+        self.create_timer(PERIOD, self._on_drivers)
+
+    def _on_drivers(self) -> None:
+        self._take({topic: [data for data, _ in taken(s)] for topic, s in self._direct.items()})
 
     def close(self) -> None:
         """Stop the server and let stopped nodes continue."""
@@ -151,6 +170,10 @@ class CockpitNode(TactileNode[CockpitConfig]):
 
     def _on_batch(self, message: UInt8MultiArray) -> None:
         batch = unpack_batch(message)
+        self._take({topic: data for topic, data in batch.items() if topic not in self._direct})
+
+    def _take(self, batch: Mapping[str, Sequence[bytes]]) -> None:
+        """Read messages by topic, oldest first, and show what they make complete."""
         if self.picture is None:
             states = batch.get(names.JOINT_STATES)
             if not states or not self._description:

@@ -10,6 +10,7 @@ gets fewer pictures, never old ones, and costs nothing. Commands are answered, e
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import json
 import secrets
 import struct
@@ -69,24 +70,28 @@ class Tab:
         self._told: tuple[Any, int] = ({}, -1)
 
     async def serve(self, host: Host, driver: Callable[[], int]) -> None:
-        """Send a picture whenever there is news and the tab is ready for it."""
-        while True:
-            await self.is_ready.wait()
-            await self.news.wait()
-            self.news.clear()
-            picture = host.picture
-            if picture is not None and picture.epoch != self.epoch:
-                self.epoch, self.total = picture.epoch, 0
-                await self.send({"hello": host.hello()})
-            status = host.status, driver()
-            if status != self._told:
-                self._told = status
-                await self.send({"status": host.status | {"driver": driver()}})
-            if picture is not None and picture.total != self.total:
-                self.total, times, rows = picture.since(self.total)
-                head = _HEAD.pack(self.epoch, *rows.shape)
-                self.is_ready.clear()
-                await self._socket.send_bytes(head + bytes(4) + times.tobytes() + rows.tobytes())
+        """Send a picture whenever there is news and the tab is ready for it, until it is gone."""
+        with contextlib.suppress(ConnectionError):
+            while True:
+                await self._serve(host, driver)
+
+    async def _serve(self, host: Host, driver: Callable[[], int]) -> None:
+        await self.is_ready.wait()
+        await self.news.wait()
+        self.news.clear()
+        picture = host.picture
+        if picture is not None and picture.epoch != self.epoch:
+            self.epoch, self.total = picture.epoch, 0
+            await self.send({"hello": host.hello()})
+        status = host.status, driver()
+        if status != self._told:
+            self._told = status
+            await self.send({"status": host.status | {"driver": driver()}})
+        if picture is not None and picture.total != self.total:
+            self.total, times, rows = picture.since(self.total)
+            head = _HEAD.pack(self.epoch, *rows.shape)
+            self.is_ready.clear()
+            await self._socket.send_bytes(head + bytes(4) + times.tobytes() + rows.tobytes())
 
     async def send(self, message: Mapping[str, Any]) -> None:
         """Send a message."""

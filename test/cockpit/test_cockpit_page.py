@@ -29,9 +29,10 @@ SCENARIO = load_scenario(
 
 
 @contextmanager
-def cockpit() -> Iterator[tuple[CapturedProcess, str]]:
+def cockpit(**parameters: object) -> Iterator[tuple[CapturedProcess, str]]:
     """Start a cockpit; provide its process and its link."""
-    with start_executable("cockpit") as process:
+    words = [word for name, value in parameters.items() for word in ("-p", f"{name}:={value}")]
+    with start_executable("cockpit", "--ros-args", *words) as process:
         process.wait_for_output(LINK, 60.0)
         yield process, re.search(f"{LINK}(\\S+)", process.stdout)[1]  # type: ignore[index]
 
@@ -252,16 +253,17 @@ def test_the_page_follows_a_graph_that_restarts(page: Page, hand: tuple[Graph, s
 
 
 def test_a_stopped_node_leads_to_the_safe_state_and_back(tmp_path: Path) -> None:
-    """In a graph of processes, which a page can stop one by one."""
+    """In a graph of processes, which a page can stop one by one; joints and touch come directly."""
     with (
         isolated_domain() as domain,
-        cockpit() as (_, link),
+        cockpit(drivers="true") as (_, link),
         Graph(SCENARIO, domain, tmp_path),
         browser(tmp_path / "profile") as page,
     ):
         page.open(link)
         stop = "[aria-label='stop tactile_sensor']"
         page.wait(lambda: page.js(f'return Boolean(document.querySelector("{stop}"))'))
+        assert np.isfinite(row(page, "force")).all() and np.isfinite(row(page, "theta")).all()
         page.js(f'document.querySelector("{stop}").click()')
         page.wait(lambda: page.js("return report.state.textContent") == "holding")
         page.wait(lambda: page.driver.find_elements(By.CSS_SELECTOR, ".nodes .light.bad"))

@@ -16,7 +16,7 @@ function panel(title, small, name) {
 
 /** Make the list of nodes with their faults. */
 export function nodeList(source, act) {
-  const { element, body } = panel("Nodes", "health, rate, age of the last report", "nodes");
+  const { element, body } = panel("Nodes", "health and rate", "nodes");
   let shown = "";
   const fault = (node, what) => el("button", { type: "button", class: "chip", "aria-label": `${what} ${node}`, onclick: () => act({ do: "fault", node, what }) }, what);
   const row = (node) => {
