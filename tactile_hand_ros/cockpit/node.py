@@ -41,6 +41,7 @@ from tactile_hand_ros.ros.runner import run_node
 from tactile_hand_ros.scenario.scenario import NODES
 from tactile_hand_ros.simulation.plant_run import PUSH_LASTS
 
+_PICTURE_PERIOD = 0.8 * PERIOD  # s, shortest; a batch of each node comes in one period
 _STATUS_PERIOD = 0.25  # s between two looks at ages and health
 _SILENT = 2.5  # s without diagnostics, which come every second
 _EVENTS = 200  # kept
@@ -79,7 +80,7 @@ class CockpitNode(TactileNode[CockpitConfig]):
         self._tree: dict[str, Any] | None = None
         self._health: dict[str, dict[str, Any]] = {}
         self._margins: dict[str, str] = {}
-        self._epoch, self._notice = 0, ""
+        self._epoch, self._due = 0, 0.0
         self.status: dict[str, Any] = _NOTHING
         self._direct: dict[str, Any] = {}
         self._subscribe()
@@ -181,7 +182,6 @@ class CockpitNode(TactileNode[CockpitConfig]):
             self._begin(states[0])
         picture = self.picture
         assert picture is not None
-        total = picture.total
         for error in picture.take(batch):
             self.reject("ticks", error)
         if picture.epoch != self._epoch:
@@ -189,7 +189,13 @@ class CockpitNode(TactileNode[CockpitConfig]):
             self._events.clear()
         for event in self._watch.step(picture):
             self._events.append(event | {"id": self._next()})
-        if picture.total != total:
+        self._show()
+
+    def _show(self) -> None:
+        """Make new rows, not more often than somebody can see them."""
+        now = time.monotonic()
+        if self.picture and now >= self._due and self.picture.advance():
+            self._due = now + _PICTURE_PERIOD
             self._server.notify()
 
     def _begin(self, data: bytes) -> None:
@@ -253,6 +259,7 @@ class CockpitNode(TactileNode[CockpitConfig]):
         return int(pid) if pid.isdigit() and len(shared) == 1 else None
 
     def _on_status(self) -> None:
+        self._show()  # the last rows before a pause
         now, nodes = time.monotonic(), []
         for name, each in sorted(self._health.items()):
             age = now - each["heard"]

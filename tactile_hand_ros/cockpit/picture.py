@@ -165,7 +165,7 @@ class Picture:
         self.tracks = {topic: Track(source.width) for topic, source in self._sources.items()}
 
     def take(self, batch: Mapping[str, Sequence[bytes]]) -> Iterator[MessageError]:
-        """Read the messages of a batch by topic, make rows, and yield an error for a bad topic."""
+        """Read the messages of a batch by topic, and yield an error for a bad topic."""
         for track in self.tracks.values():
             track.forget(self._shown - _HOLD)
         for topic, messages in batch.items():
@@ -182,7 +182,6 @@ class Picture:
                     self.epoch += 1
                     self._forget()
                     self.tracks[topic] = track
-        self._append()
 
     @property
     def stamp(self) -> int:
@@ -190,8 +189,12 @@ class Picture:
         stamps = self.tracks[names.JOINT_STATES].stamps
         return int(stamps[-1]) if len(stamps) else 0
 
-    def _append(self) -> None:
-        """Make rows of the ticks of which everything has come that still comes."""
+    def advance(self) -> bool:
+        """Make rows of the ticks of which everything has come that still comes.
+
+        Returns:
+            Whether there was one.
+        """
         since = time.monotonic() - _ALIVE
         alive = [
             track.stamps[-1]
@@ -201,7 +204,7 @@ class Picture:
         ticks = np.unique(self.tracks[names.JOINT_STATES].stamps)
         ticks = ticks[(ticks > self._shown) & (ticks <= min(alive, default=-1))]
         if not len(ticks):
-            return
+            return False
         chosen = np.linspace(0, len(ticks), min(len(ticks), ROWS_PER_BATCH) + 1).astype(int)[1:]
         stamps = ticks[chosen - 1]
         made, self._shown = self._made(stamps), int(stamps[-1])
@@ -209,6 +212,7 @@ class Picture:
             places = (self.total + np.arange(len(stamps))) % KEPT
             self._times[places], self._rows[places] = 1e-9 * stamps, made
             self.total += len(stamps)
+        return True
 
     def _made(self, stamps: Stamps) -> Array:
         at = {topic: track.at(stamps) for topic, track in self.tracks.items()}
