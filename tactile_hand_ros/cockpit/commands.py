@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import math
 import os
@@ -213,10 +214,10 @@ class Commands:
                 f"{node[:40]} has no process of its own here; start the run with --processes"
             )
         if what == "stall":
-            os.kill(pid, signal.SIGSTOP)
-            threading.Timer(_STALL, os.kill, (pid, signal.SIGCONT)).start()
+            _send(pid, signal.SIGSTOP)
+            threading.Timer(_STALL, _send, (pid, signal.SIGCONT)).start()
         elif what in _SIGNALS:
-            os.kill(pid, _SIGNALS[what])
+            _send(pid, _SIGNALS[what])
             (self._stopped.add if what == "stop" else self._stopped.discard)(pid)
         else:
             raise CommandError(f"'{what[:40]}' is not a fault")
@@ -226,8 +227,7 @@ class Commands:
     def close(self) -> None:
         """Let stopped processes continue, so that they can end."""
         for pid in self._stopped:
-            if Path(f"/proc/{pid}").exists():
-                os.kill(pid, signal.SIGCONT)
+            _send(pid, signal.SIGCONT)
 
     def _do_save(self, command: Mapping[str, Any], reply: Reply) -> None:
         bag = self._node.config.bag
@@ -273,6 +273,11 @@ def _numbers(command: Mapping[str, Any], key: str, count: int) -> Any:
     if len(listed) != count or not all(is_number):
         raise CommandError(f"{key} is {str(given)[:60]}, expected {count} finite numbers")
     return np.array(listed, dtype=float)
+
+
+def _send(pid: int, number: signal.Signals) -> None:
+    with contextlib.suppress(ProcessLookupError):  # it has ended
+        os.kill(pid, number)
 
 
 def _is_ours(pid: int, node: str) -> bool:

@@ -45,6 +45,7 @@ _PICTURE_PERIOD = 0.8 * PERIOD  # s, shortest; a batch of each node comes in one
 _STATUS_PERIOD = 0.25  # s between two looks at ages and health
 _SILENT = 2.5  # s without diagnostics, which come every second
 _EVENTS = 200  # kept
+_MOST_WAITING = 100  # commands
 _SHOWN = ("rate_hz", "latency_p99_us", "late_commands", "mode", "rejected")
 _STALE = 3
 _NOTHING: dict[str, Any] = {"nodes": [], "margins": {}, "events": [], "response": {}}
@@ -149,6 +150,9 @@ class CockpitNode(TactileNode[CockpitConfig]):
 
     def submit(self, command: Mapping[str, Any], reply: Reply) -> None:
         """Queue a command for the thread of the node."""
+        if self._waiting.qsize() >= _MOST_WAITING:
+            reply(False, f"{_MOST_WAITING} commands wait already; send fewer")
+            return
         self._waiting.put((command, reply))
         self._bell.trigger()
 
@@ -264,10 +268,10 @@ class CockpitNode(TactileNode[CockpitConfig]):
         for name, each in sorted(self._health.items()):
             age = now - each["heard"]
             shown = {key: value for key, value in each.items() if key not in ("heard", "pid")}
-            if age > _SILENT:
+            if silent := age > _SILENT:
                 shown |= {"level": _STALE, "message": f"silent for {age:.0f} s"}
             alone = self.process_of(name) is not None
-            nodes.append({**shown, "name": name, "age": round(age, 1), "alone": alone})
+            nodes.append({**shown, "name": name, "silent": silent, "alone": alone})
         status = {
             "nodes": nodes,
             "margins": dict(sorted(self._margins.items())),

@@ -252,6 +252,21 @@ def test_the_page_follows_a_graph_that_restarts(page: Page, hand: tuple[Graph, s
     page.wait(lambda: page.js("return report.state.textContent") == "running")
 
 
+def test_a_page_of_an_earlier_cockpit_connects_again_only_with_the_new_link(
+    hand: tuple[Graph, str], tmp_path: Path
+) -> None:
+    with browser(tmp_path / "profile") as page:
+        with cockpit() as (_, link):
+            page.open(link)
+        page.wait(lambda: "no connection" in page.js("return report.state.textContent"))
+        assert not ask(page, {"do": "run"})["ok"]
+        port = re.search(r":(\d+)/", link)[1]  # type: ignore[index]
+        with cockpit(port=port) as (_, new):
+            page.wait(lambda: "Another cockpit" in page.js("return report.state.textContent"))
+            page.open(new)
+            page.wait(lambda: page.js("return report.source.drives"))
+
+
 def test_a_stopped_node_leads_to_the_safe_state_and_back(tmp_path: Path) -> None:
     """In a graph of processes, which a page can stop one by one; joints and touch come directly."""
     with (

@@ -166,7 +166,7 @@ const MODES = { running: "good", holding: "bad", paused: "", finished: "" };
 function showState(page) {
   const { source } = page;
   const plant = source.status.nodes.find((node) => node.name === "plant");
-  const silent = plant?.level === 3;
+  const silent = Boolean(plant?.silent);
   const word = source.problem || (!source.connected ? "no connection, trying again" : silent ? "the hand is silent" : plant ? plant.mode : "no hand");
   page.state.textContent = word;
   page.state.className = `verdict ${!source.connected || silent ? "bad" : (MODES[word] ?? "")}`;

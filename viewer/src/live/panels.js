@@ -31,7 +31,7 @@ export function nodeList(source, act) {
   };
   const update = () => {
     const { nodes } = source.status;
-    const key = JSON.stringify(nodes.map(({ age, ...rest }) => rest));
+    const key = JSON.stringify(nodes);
     if (key === shown) return; // a button that is replaced cannot be pressed
     shown = key;
     const note = nodes.some((node) => node.alone) ? null : el("p", { class: "hint" }, "The nodes share one process. To stop a single one, start with --processes.");

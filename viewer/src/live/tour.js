@@ -13,7 +13,7 @@ function steps(page) {
     const { columns, time } = source.run;
     const [p, q] = ["position", "quaternion"].map((name) => [...rowOf(columns[`auxiliary_${name}`], time.length - 1)]);
     const size = page.scene?.size ?? 0.05;
-    return act({ do: "pose", position: [p[0], p[1], p[2] + 0.3 * size], quaternion: q });
+    return act({ do: "pose", position: [p[0], p[1], p[2] + 0.15 * size], quaternion: q });
   };
   const alone = () => source.status.nodes.find((node) => node.alone && node.name === "tactile_sensor");
   return [
