@@ -139,7 +139,9 @@ def test_a_pull_slips_and_is_caught(page: Page, hand: tuple[Graph, str]) -> None
     let_go(page)
     page.wait(lambda: page.js("return 'stuck' in report.source.status.response"))
     response = page.js("return report.source.status.response")
-    assert 0.0 <= response["detection"] <= 100.0 and response["reaction"] <= 100.0
+    assert 0.0 <= response["detection"] <= 100.0
+    # The load alone may have raised k_f to its limit before the slip.
+    assert 0.0 <= response.get("reaction", 0.0) <= 100.0
     assert row(page, "grasp_force")[0] > force
     assert page.driver.find_element(By.CSS_SELECTOR, ".response .step b").text != "\u2013"
     page.wait(lambda: np.allclose(row(page, "push"), 0.0))
