@@ -149,6 +149,10 @@ def test_a_message_of_another_type_is_rejected_and_the_rest_is_shown(picture: Pi
     narrow = {names.JOINT_STATES: [wider.encode(4 * MS, *[np.zeros(1)] * 3)]}
     (error,) = take(picture, narrow)
     assert "2 numbers, expected 6" in error
+    longer = bytearray(batch(4)[names.JOINT_STATES][0])
+    at = longer.index(b"\x03\0\0\0", longer.index(b"c\0"))  # the number of angles
+    longer[at] = 4
+    (error,) = take(picture, {names.JOINT_STATES: [bytes(longer)]})
     assert picture.total == 1
 
 
@@ -158,6 +162,7 @@ def test_the_course_of_a_slip_in_milliseconds(picture: Picture) -> None:
         batch(0, 2),
         batch(4, 6, slip=(0.0, 0.01)),
         batch(8, slip=(0.0, 0.02), grip=ContactState.SLIP),
+        batch(9, grip=ContactState.SLIP),  # too short a pause for a second slip
         batch(10, slip=(0.0, 0.02), grip=ContactState.SLIP, force=12.0),
         batch(12, 30, 34, force=12.0),
     ):

@@ -329,10 +329,14 @@ def test_a_speed_holds_the_next_tick_back_until_it_is_due(make: Callable[..., Ri
     rig.answer(1)
     assert time.monotonic() - before > 0.05
     rig.send(2)
-    rig.node.set_parameters([Parameter("speed", value=0.0)])
+    rig.until("running", 2, answered_ns=2 * rig.node.config.tick)
+    rig.clock.now += 0.5  # an answered tick is not sent again
     rig.until("running", 3)
-    for tick in range(3, 20):
-        rig.answer(tick)
+    rig.send(3)
+    rig.node.set_parameters([Parameter("speed", value=0.0)])
+    for tick in range(4, 20):
+        rig.until("running", tick)
+        rig.send(tick)
     assert time.monotonic() - before < 16 * 0.2
     assert facts(rig.node)["resent_ticks"] == "0"
 
