@@ -11,7 +11,7 @@ from typing import Annotated
 
 import typer
 
-from tactile_hand_ros.command_line import Signals
+from tactile_hand_ros.command_line import Signals, open_in_browser
 from tactile_hand_ros.command_options import with_options
 from tactile_hand_ros.orchestrator.options import RunOptions
 
@@ -65,15 +65,13 @@ def live(options: LiveOptions) -> None:
 
 def _show(bag: Path, browser: bool) -> None:
     """Write the report of a finished run, the same page without a hand, and open it."""
-    import webbrowser
-
     from tactile_hand_ros.report.page import write_report
     from tactile_hand_ros.run.run import Run
 
     file = write_report(Run(bag))
     print(file)
     if browser:
-        webbrowser.open(file.resolve().as_uri())
+        open_in_browser(file.resolve().as_uri())
 
 
 COMMANDS = (live,)

@@ -100,6 +100,7 @@ class CockpitNode(TactileNode[CockpitConfig]):
         for node in NODES:
             topic = names.ticks_of(node)
             self.subscribe(UInt8MultiArray, topic, self._on_batch, profile=user)
+        for node in (names.CONTROLLER, names.REGULATOR):
             self.subscribe(DiagnosticArray, names.rejected(node), self._on_rejected_command)
         if self.config.drivers:
             self._subscribe_to_drivers()
@@ -133,15 +134,14 @@ class CockpitNode(TactileNode[CockpitConfig]):
     def hello(self) -> dict[str, Any]:
         """Return what a tab must know before the first picture."""
         picture, config = self.picture, self.config
-        fingers = list(picture.fingers) if picture else []
-        joints = list(picture.joint_names) if picture else []
+        assert picture is not None
         return {
             "name": config.name,
-            "fingers": model.fingers(fingers),
-            "joints": model.joints(joints, fingers, self._tree),
+            "fingers": model.fingers(picture.fingers),
+            "joints": model.joints(picture.joint_names, picture.fingers, self._tree),
             "hand": self._tree,
             "object": model.solid_of(config.object.solid()),
-            "columns": picture.columns if picture else {},
+            "columns": picture.columns,
             "kept": KEPT,
             "push": MOST_FORCE,
             "nodes": NODES,

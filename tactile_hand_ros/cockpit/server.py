@@ -12,6 +12,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import json
+import os
 import secrets
 import struct
 import threading
@@ -122,9 +123,10 @@ class Server:
         try:
             self.port: int = starting.result(_START)
         except OSError as error:
+            reason = os.strerror(error.errno or 0).lower()
             raise ServerError(
-                f"the page cannot be served at {address}:{port} ({error.strerror}); choose another "
-                "port, or 0 for any free one"
+                f"the page cannot be served at {address}:{port} ({reason}); choose another port, "
+                "or 0 for any free one"
             ) from None
         self.link = f"http://{address}:{self.port}/?token={self._token}"
 

@@ -5,12 +5,12 @@ from __future__ import annotations
 
 import contextlib
 import threading
-import webbrowser
 from collections.abc import Iterator
 
 from rich.console import Console
 
 from tactile_hand_ros.cockpit.config import LINK, CockpitConfig
+from tactile_hand_ros.command_line import open_in_browser
 from tactile_hand_ros.extras import optional
 from tactile_hand_ros.names import COCKPIT
 from tactile_hand_ros.orchestrator.processes import NodeProcess, started_by
@@ -57,12 +57,12 @@ def cockpit(
         with contextlib.suppress(TimeoutError):
             wait_until(is_ready, _PATIENCE)
         if not link:
-            console.print(f"the cockpit did not start; see {process.log}", soft_wrap=True)
+            reason = (process.tail() or [f"see {process.log}"])[-1]
+            console.print(f"the cockpit did not start: {reason}", soft_wrap=True)
             return
         console.print(f"cockpit: {link}", soft_wrap=True)
         if browser:
-            with contextlib.suppress(webbrowser.Error):
-                webbrowser.open(link)
+            open_in_browser(link)
 
     threading.Thread(target=announce, daemon=True).start()
     try:
