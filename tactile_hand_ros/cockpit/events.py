@@ -16,80 +16,71 @@ from tactile_hand_ros.run.events import SLIDING
 
 _PAUSE = 20_000_000  # ns; a shorter pause does not split a slip
 _RISE = 1.02  # of the grasp force, that counts as a reaction
-_RECENT = 250_000_000  # ns after the start of a slip in which an alarm belongs to it
+_RECENT = 250_000_000  # ns after the start of a slip in which an alarm or a rise belongs to it
 
 Flags = NDArray[np.bool_]
 
 
 class Watch:
-    """Finds events in each batch of a picture.
+    """Finds events in each batch of a picture, and tells them when all nodes have come that far.
 
     Attributes:
         response: Milliseconds from the start of the newest slip to ``detection``, ``reaction`` and
-            ``stuck``, with ``finger`` and the time ``at``, s; empty before the first slip.
+            ``stuck``, with ``finger`` and the time ``at``, s; empty before the first slip. Without
+            ground truth it starts with the alarm.
     """
 
     def __init__(self) -> None:
         """Start without events."""
         self.response: dict[str, Any] = {}
         self._last: dict[tuple[str, int], tuple[bool, int]] = {}
+        self._waiting: list[tuple[int, str, int]] = []
         self._onset, self._force = 0, np.inf
 
     def step(self, picture: Picture) -> Iterator[dict[str, Any]]:
-        """Yield the events of the newest batch, each ``time``, ``kind``, ``finger``, ``text``."""
+        """Yield the newest events, each with ``time``, ``kind``, ``finger`` and ``text``."""
         tracks, k = picture.tracks, len(picture.fingers)
-        found = [
-            *_rising(tracks[names.TRUE_SLIP], lambda v: v > SLIDING, "slip", self._last),
-            *_rising(
-                tracks[names.GRIP_STATE],
-                lambda v: v[:, k:] == ContactState.SLIP,
-                "detection",
-                self._last,
-            ),
-            *_rising(
-                tracks[names.CONTACTS],
-                lambda v: np.isnan(v[:, ::7]),
-                "contact_lost",
-                self._last,
-            ),
+        slip, grip, touch = (tracks[t] for t in (names.TRUE_SLIP, names.GRIP_STATE, names.CONTACTS))
+        start, ended = ("slip", slip) if len(slip.stamps) else ("detection", grip)
+        self._waiting += [
+            *_rising(slip, lambda v: v > SLIDING, "slip", self._last),
+            *_rising(grip, lambda v: v[:, k:] == ContactState.SLIP, "detection", self._last),
+            *_rising(touch, lambda v: np.isnan(v[:, ::7]), "contact_lost", self._last),
         ]
-        for stamp, kind, finger in sorted(found):
-            self._note(stamp, kind, picture.fingers[finger])
-            text = f"{picture.fingers[finger]}: {_TEXTS[kind]}".replace("_", " ")
-            yield _event(stamp, kind, picture.fingers[finger], text)
-        yield from self._reaction(tracks[names.GRASP_FORCE])
-        self._end(tracks[names.TRUE_SLIP])
+        self._waiting.sort(key=lambda each: (each[0], each[1] != start))
+        while self._waiting and self._waiting[0][0] <= picture.shown:
+            stamp, kind, number = self._waiting.pop(0)
+            finger = picture.fingers[number]
+            self._note(stamp, kind, finger, start)
+            yield _event(stamp, kind, finger, f"{finger}: {_TEXTS[kind]}".replace("_", " "))
+        if self.response:
+            yield from self._reaction(tracks[names.GRASP_FORCE])
+            self._end(ended, start)
 
-    def _note(self, stamp: int, kind: str, finger: str) -> None:
-        """Start a response at a slip, or at an alarm where there is no ground truth."""
-        r = self.response
-        if kind == "slip" and (not r or "stuck" in r or stamp - self._onset > _RECENT):
+    def _note(self, stamp: int, kind: str, finger: str, start: str) -> None:
+        r, since = self.response, stamp - self._onset
+        if kind == start and (not r or "stuck" in r or since > _RECENT):
             self.response = {"at": 1e-9 * stamp, "finger": finger}
             self._onset, self._force = stamp, np.inf
-        elif kind == "detection" and r and "detection" not in r:
-            r["detection"] = 1e-6 * (stamp - self._onset)
+        elif kind == "detection" and r and since <= _RECENT:
+            r.setdefault("detection", 1e-6 * since)
 
     def _reaction(self, force: Track) -> Iterator[dict[str, Any]]:
-        r = self.response
-        if not r or "reaction" in r or not force.new:
-            return
-        before = force.values[force.stamps <= self._onset, 1]
-        if np.isinf(self._force) and len(before):
-            self._force = before[-1]
-        new = slice(-force.new, None)
-        rows = np.flatnonzero(force.values[new, 1] > _RISE * self._force)
-        if len(rows):
-            stamp = int(force.stamps[new][rows[0]])
-            r["reaction"] = 1e-6 * (stamp - self._onset)
+        """Look for the first rise of the grasp force above that at the start."""
+        since, values = force.stamps - self._onset, force.values[:, 1]
+        if np.isinf(self._force) and (since < 0).any():
+            self._force = values[since < 0][-1]
+        rows = np.flatnonzero((since >= 0) & (since <= _RECENT) & (values > _RISE * self._force))
+        if len(rows) and "reaction" not in self.response:
+            stamp = int(force.stamps[rows[0]])
+            self.response["reaction"] = 1e-6 * (stamp - self._onset)
             yield _event(stamp, "reaction", "", "the grasp force rises")
 
-    def _end(self, slip: Track) -> None:
-        r = self.response
-        if not r or "stuck" in r or not slip.new:
-            return
-        last = max(at for (kind, _), (_, at) in self._last.items() if kind == "slip")
-        if slip.stamps[-1] - last > _PAUSE:
-            r["stuck"] = 1e-6 * (last - self._onset)
+    def _end(self, track: Track, start: str) -> None:
+        """Note when the last finger stopped, once none has slipped for a while."""
+        last = max(at for (kind, _), (_, at) in self._last.items() if kind == start)
+        if track.new and track.stamps[-1] - last > _PAUSE:
+            self.response.setdefault("stuck", 1e-6 * (last - self._onset))
 
 
 _TEXTS = {"slip": "slip begins", "detection": "slip detected", "contact_lost": "contact lost"}

@@ -138,6 +138,7 @@ class Picture:
         push: The last push, force and torque, shape (6,), N and N m.
         epoch: How often time was set back.
         total: Rows made since the last time that happened.
+        shown: The newest tick with a row, ns; -1 before the first.
     """
 
     def __init__(self, fingers: Sequence[str], joint_names: Sequence[str]) -> None:
@@ -161,13 +162,13 @@ class Picture:
 
     def _forget(self) -> None:
         self.total, self.desired, self.push = 0, np.full(7, np.nan), np.zeros(6)
-        self.push_end, self._shown = 0, -1
+        self.push_end, self.shown = 0, -1
         self.tracks = {topic: Track(source.width) for topic, source in self._sources.items()}
 
     def take(self, batch: Mapping[str, Sequence[bytes]]) -> Iterator[MessageError]:
         """Read the messages of a batch by topic, and yield an error for a bad topic."""
         for track in self.tracks.values():
-            track.forget(self._shown - _HOLD)
+            track.forget(self.shown - _HOLD)
         for topic, messages in batch.items():
             if not messages or topic not in self._sources:
                 continue
@@ -202,12 +203,12 @@ class Picture:
             if track.heard > since and len(track.stamps)
         ]
         ticks = np.unique(self.tracks[names.JOINT_STATES].stamps)
-        ticks = ticks[(ticks > self._shown) & (ticks <= min(alive, default=-1))]
+        ticks = ticks[(ticks > self.shown) & (ticks <= min(alive, default=-1))]
         if not len(ticks):
             return False
         chosen = np.linspace(0, len(ticks), min(len(ticks), ROWS_PER_BATCH) + 1).astype(int)[1:]
         stamps = ticks[chosen - 1]
-        made, self._shown = self._made(stamps), int(stamps[-1])
+        made, self.shown = self._made(stamps), int(stamps[-1])
         with self._lock:
             places = (self.total + np.arange(len(stamps))) % KEPT
             self._times[places], self._rows[places] = 1e-9 * stamps, made

@@ -177,3 +177,29 @@ def test_the_course_of_a_slip_in_milliseconds(picture: Picture) -> None:
     assert watch.response == {"at": 0.004, "finger": "finger_2"} | known
     take(picture, batch(36, slip=(0.0, 0.01)))  # a pause of 26 ms: the next slip
     assert [e["kind"] for e in watch.step(picture)] == ["slip"]
+
+
+def test_an_alarm_that_arrives_before_its_slip_belongs_to_it(picture: Picture) -> None:
+    """Nodes send their batches at different moments."""
+    watch, first = Watch(), batch(0, 2)
+    take(picture, first)
+    assert list(watch.step(picture)) == []
+    whole = batch(4, slip=(0.01, 0.0), grip=ContactState.SLIP, force=11.0)
+    truth = {names.TRUE_SLIP: whole.pop(names.TRUE_SLIP)}
+    take(picture, whole)
+    assert list(watch.step(picture)) == []
+    take(picture, truth)
+    kinds = [event["kind"] for event in watch.step(picture)]
+    assert kinds == ["slip", "detection", "reaction"]
+    known = {"at": 0.004, "finger": "finger_1", "detection": 0.0, "reaction": 0.0}
+    assert watch.response == known
+
+
+def test_without_ground_truth_a_response_starts_with_the_alarm(picture: Picture) -> None:
+    watch = Watch()
+    for messages in (batch(0), batch(4, grip=ContactState.SLIP), batch(30, force=20.0)):
+        messages.pop(names.TRUE_SLIP)
+        take(picture, messages)
+        list(watch.step(picture))
+    known = {"at": 0.004, "finger": "finger_2", "reaction": 26.0, "stuck": 0.0}
+    assert watch.response == known
