@@ -66,11 +66,11 @@ def live_parameters() -> dict[str, dict[str, Any]]:
 
 
 class Commands:
-    """Carries out the commands of the driving tab; called from the executor of the node."""
+    """Carries out the commands of the tab in control; called from the executor of the node."""
 
     def __init__(self, node: Any) -> None:
-        """Create the publishers; `node` is the cockpit."""
-        self._node, self._clients = node, dict[str, Any]()
+        """Create publishers and clients; `node` is the cockpit."""
+        self._node = node
         make, profile = node.create_publisher, qos.user_qos()
         self._pose = make(PoseStamped, names.DESIRED_POSE, profile)
         self._force = make(Float64, names.USER_GRASP_FORCE, profile)
@@ -82,6 +82,12 @@ class Commands:
         )
         self._fields = live_parameters()
         self._stopped: set[int] = set()
+        services = {f"{owner}/{name}": kind for kind, owner, name, _ in _CALLS.values()}
+        for owner in self._fields:
+            services[f"{owner}/set_parameters"] = SetParameters
+            services[f"{owner}/get_parameters"] = GetParameters
+        # Created before they are needed, so that they are matched by then.
+        self._clients = {name: node.create_client(kind, name) for name, kind in services.items()}
 
     def carry_out(self, command: Mapping[str, Any], reply: Reply) -> None:
         """Carry out a command and reply, immediately or when the hand has answered.
@@ -127,11 +133,6 @@ class Commands:
         self._push.publish(self._encode_push(wrench, picture.stamp if picture else 0))
         reply(True, "")
 
-    def unpush(self) -> None:
-        """Stop pushing."""
-        if self._push.get_subscription_count():
-            self._push.publish(self._encode_push(np.zeros(6), 0))
-
     def _do_mark(self, command: Mapping[str, Any], reply: Reply) -> None:
         text = str(command.get("text") or "mark")[:200]
         self._marks.publish(String(data=text))
@@ -151,26 +152,11 @@ class Commands:
         self._ask(kind, f"{node}/{service}", request, answered)
 
     def _ask(self, kind: Any, service: str, request: Any, answered: Callable[[Any], None]) -> None:
-        client = self._clients.get(service)
-        if client is None:
-            client = self._clients[service] = self._node.create_client(kind, service)
+        client = self._clients[service]
         if not client.service_is_ready():
-            # A new client needs a moment to be matched; the page tries again.
             raise CommandError(f"{service} does not answer; does the node run?")
         future = client.call_async(request)
         future.add_done_callback(lambda done: answered(done.result()))
-
-    def connect(self) -> None:
-        """Create the clients before they are needed, so that they are matched by then."""
-        for kind, node, service, _ in _CALLS.values():
-            self._clients[f"{node}/{service}"] = self._node.create_client(kind, f"{node}/{service}")
-        for node in self._fields:
-            for kind, name in (
-                (SetParameters, "set_parameters"),
-                (GetParameters, "get_parameters"),
-            ):
-                service = f"{node}/{name}"
-                self._clients[service] = self._node.create_client(kind, service)
 
     def _do_set(self, command: Mapping[str, Any], reply: Reply) -> None:
         node, name = str(command.get("node")), str(command.get("name"))

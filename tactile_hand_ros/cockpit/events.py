@@ -22,7 +22,7 @@ Flags = NDArray[np.bool_]
 
 
 class Watch:
-    """Finds events in each batch of a picture, and tells them when all nodes have come that far.
+    """Finds events in each batch of a picture, and reports them when all nodes have come that far.
 
     Attributes:
         response: Milliseconds from the start of the newest slip to ``detection``, ``reaction`` and

@@ -86,7 +86,6 @@ class CockpitNode(TactileNode[CockpitConfig]):
         self._direct: dict[str, Any] = {}
         self._subscribe()
         self.commands = Commands(self)
-        self.commands.connect()
         self._waiting = queue.SimpleQueue[tuple[Mapping[str, Any], Reply]]()
         self._bell = self.create_guard_condition(self.guarded("commands", self._on_commands))
         self.create_timer(_STATUS_PERIOD, self._on_status)
@@ -157,7 +156,7 @@ class CockpitNode(TactileNode[CockpitConfig]):
         self._bell.trigger()
 
     def released(self) -> None:
-        """Stop pushing when nobody drives any more."""
+        """Stop pushing when no tab has control any more."""
         self.submit({"do": "push", "wrench": [0.0] * 6}, lambda *_: None)
 
     # From the executor.
@@ -251,7 +250,7 @@ class CockpitNode(TactileNode[CockpitConfig]):
                 "level": level,
                 "message": status.message[:300],
                 "pid": values.get("pid", ""),
-                "heard": time.monotonic(),
+                "received": time.monotonic(),
                 **{key: values[key] for key in _SHOWN if key in values},
             }
             self._margins |= {k: v for k, v in values.items() if k[:1] == "A" and k[1:2].isdigit()}
@@ -266,8 +265,8 @@ class CockpitNode(TactileNode[CockpitConfig]):
         self._show()  # the last rows before a pause
         now, nodes = time.monotonic(), []
         for name, each in sorted(self._health.items()):
-            age = now - each["heard"]
-            shown = {key: value for key, value in each.items() if key not in ("heard", "pid")}
+            age = now - each["received"]
+            shown = {key: value for key, value in each.items() if key not in ("received", "pid")}
             if silent := age > _SILENT:
                 shown |= {"level": _STALE, "message": f"silent for {age:.0f} s"}
             alone = self.process_of(name) is not None

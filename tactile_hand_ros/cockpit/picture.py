@@ -97,13 +97,13 @@ class Track:
         stamps: Timestamps in ascending order, ns, shape (n,).
         values: Numbers of each message, shape (n, width).
         new: Number of messages in the last batch.
-        heard: When the last message came, s of the steady clock.
+        received: When the last message came, s of the steady clock.
     """
 
     def __init__(self, width: int) -> None:
         """Start without values."""
         self.stamps, self.values = np.empty(0, np.int64), np.empty((0, width))
-        self.new, self.heard = 0, -np.inf
+        self.new, self.received = 0, -np.inf
 
     def add(self, stamps: Stamps, values: Array) -> bool:
         """Append a batch; return whether time has been set back, which forgets what was before."""
@@ -112,7 +112,7 @@ class Track:
         start = int(back[-1]) + 1 if len(back) else 0
         self.stamps = joined[start:]
         self.values = np.vstack([self.values, values])[start:]
-        self.new, self.heard = min(len(stamps), len(self.stamps)), time.monotonic()
+        self.new, self.received = min(len(stamps), len(self.stamps)), time.monotonic()
         return bool(len(back))
 
     def forget(self, stamp: int) -> None:
@@ -200,7 +200,7 @@ class Picture:
         alive = [
             track.stamps[-1]
             for track in self.tracks.values()
-            if track.heard > since and len(track.stamps)
+            if track.received > since and len(track.stamps)
         ]
         ticks = np.unique(self.tracks[names.JOINT_STATES].stamps)
         ticks = ticks[(ticks > self.shown) & (ticks <= min(alive, default=-1))]

@@ -51,7 +51,7 @@ class Host(Protocol):
         """Carry out a command; `reply` may be called from any thread."""
 
     def released(self) -> None:
-        """Note that nobody drives any more."""
+        """Note that no tab has control any more."""
 
 
 class Tab:
@@ -68,7 +68,7 @@ class Tab:
         self.number, self._socket = number, socket
         self.epoch, self.total = -1, 0
         self.is_ready, self.news = asyncio.Event(), asyncio.Event()
-        self._told: tuple[Any, int] = ({}, -1)
+        self._sent: tuple[Any, int] = ({}, -1)
 
     async def serve(self, host: Host, driver: Callable[[], int]) -> None:
         """Send a picture whenever there is news and the tab is ready for it, until it is gone."""
@@ -85,8 +85,8 @@ class Tab:
             self.epoch, self.total = picture.epoch, 0
             await self.send({"hello": host.hello()})
         status = host.status, driver()
-        if status != self._told:
-            self._told = status
+        if status != self._sent:
+            self._sent = status
             await self.send({"status": host.status | {"driver": driver()}})
         if picture is not None and picture.total != self.total:
             self.total, times, rows = picture.since(self.total)
@@ -213,7 +213,7 @@ class Server:
             tab.is_ready.set()
         elif what == "drive":
             self._drive(tab.number)
-            await tab.send({"reply": number, "ok": True, "text": "this tab drives"})
+            await tab.send({"reply": number, "ok": True, "text": "this tab has control"})
         elif tab.number != self._driver:
             await tab.send({"reply": number, "ok": False, "text": _WATCHING})
         else:
@@ -251,4 +251,4 @@ _NO_TOKEN = (
 )
 _FOREIGN = "The request comes from '{}', but the cockpit only serves its own page, http://{}:{}."
 _NO_COMMAND = 'the message is not a command, expected JSON such as {"id": 1, "do": "pause"}'
-_WATCHING = "another tab drives; press Take over first"
+_WATCHING = "another tab has control; press Take over first"

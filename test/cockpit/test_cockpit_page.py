@@ -183,7 +183,7 @@ def test_two_tabs_watch_and_one_drives(page: Page, hand: tuple[Graph, str], tmp_
         assert other.js("return report.source.run.columns.time.rows") > 0
         assert other.js("return document.documentElement.scrollWidth <= innerWidth")
         refused = ask(other, {"do": "pause"})
-        assert not refused["ok"] and "another tab drives" in refused["text"]
+        assert not refused["ok"] and "another tab has control" in refused["text"]
         other.driver.find_element(By.CLASS_NAME, "lease").click()
         other.wait(lambda: other.js("return report.source.drives"))
         page.wait(lambda: not page.js("return report.source.drives"))

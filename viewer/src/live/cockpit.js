@@ -23,7 +23,7 @@ const KEYS = [["space", "follow or look back"], ["left, right", "look back and o
 /** Show a running hand; returns what tests and the console look at. */
 export function showLive(content, theme, root) {
   const page = { theme, scene: null, charts: [], player: new LivePlayer() };
-  const source = new LiveSource((what) => heard(page, what));
+  const source = new LiveSource((what) => changed(page, what));
   page.source = source;
   const toast = el("div", { class: "toast", role: "status", "aria-live": "polite" });
   page.say = (text) => say(toast, text);
@@ -48,7 +48,7 @@ function say(toast, text) {
   toast.timer = setTimeout(() => (toast.textContent = ""), 5000);
 }
 
-function heard(page, what) {
+function changed(page, what) {
   const { source } = page;
   if (what === "rows") {
     page.fresh ??= requestAnimationFrame(() => picture(page));
@@ -171,7 +171,7 @@ function showState(page) {
   page.state.textContent = word;
   page.state.className = `verdict ${!source.connected || silent ? "bad" : (MODES[word] ?? "")}`;
   if (page.toggle) page.toggle.textContent = plant?.mode === "paused" ? "run" : "pause";
-  page.lease.textContent = source.drives ? "this tab drives" : "take over";
+  page.lease.textContent = source.drives ? "this tab has control" : "take over";
   page.lease.disabled = source.drives || !source.connected;
   document.documentElement.dataset.drives = source.drives;
 }

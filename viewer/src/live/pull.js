@@ -10,10 +10,10 @@ const PERIOD = 33; // ms between two commands of a drag; a push is renewed as of
 const GONE = 500; // ms without a contact
 const WIDTHS = 4; // object radii that the mouse moves for the largest force
 
-/** Lets a pointer pull at the object of a scene; `told(force)` is called with N, null at the end. */
+/** Lets a pointer pull at the object of a scene; `shown(force)` is called with N, null at the end. */
 export class Spring {
-  constructor(scene, source, canvas, told) {
-    Object.assign(this, { scene, source, canvas, told });
+  constructor(scene, source, canvas, shown) {
+    Object.assign(this, { scene, source, canvas, shown });
     this.largest = source.run.push;
     const radius = Math.max(...source.run.object.vertices.map((corner) => Math.hypot(...corner)));
     this.stiffness = this.largest / (WIDTHS * radius);
@@ -93,7 +93,7 @@ export class Spring {
     const torque = from.clone().sub(solid.group.position).cross(force);
     this.source.ask({ do: "push", wrench: [...force.toArray(), ...torque.toArray()] }).then(({ ok }) => ok || this.release());
     this._show(from, force);
-    this.told(force.length());
+    this.shown(force.length());
   }
 
   _touched() {
@@ -115,7 +115,7 @@ export class Spring {
     this.point = this.plane = null;
     this.line.visible = false;
     this.source.ask({ do: "push", wrench: [0, 0, 0, 0, 0, 0] });
-    this.told(null);
+    this.shown(null);
     this.scene.invalidate();
   }
 }

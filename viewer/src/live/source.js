@@ -5,14 +5,14 @@ const RETRY = 1000; // ms
 const HEAD = 16; // bytes: epoch, rows, width, nothing
 
 export class LiveSource {
-  /** Connect; `heard(what)` is called after news: "run", "rows", "status", "link" or "reply". */
-  constructor(heard) {
+  /** Connect; `changed(what)` is called after news: "run", "rows", "status", "link" or "reply". */
+  constructor(changed) {
     this.run = null;
     this.status = { nodes: [], margins: {}, events: [], response: {}, driver: 0 };
     this.connected = false;
     this.problem = "";
     this.tab = 0;
-    this._heard = heard;
+    this._changed = changed;
     this._waiting = new Map();
     this._number = 0;
     this._connect();
@@ -44,7 +44,7 @@ export class LiveSource {
     const { host, search } = window.location;
     this._socket = new WebSocket(`ws://${host}/socket${search}`);
     this._socket.binaryType = "arraybuffer";
-    this._socket.onmessage = ({ data }) => (typeof data === "string" ? this._told(JSON.parse(data)) : this._rows(data));
+    this._socket.onmessage = ({ data }) => (typeof data === "string" ? this._received(JSON.parse(data)) : this._rows(data));
     this._socket.onclose = () => this._closed();
   }
 
@@ -52,7 +52,7 @@ export class LiveSource {
     this.connected = false;
     for (const resolve of this._waiting.values()) resolve({ ok: false, text: "the connection was lost" });
     this._waiting.clear();
-    this._heard("link");
+    this._changed("link");
     setTimeout(() => this._again(), RETRY);
   }
 
@@ -64,22 +64,22 @@ export class LiveSource {
     } catch {
       this.problem = ""; // nobody is there yet
     }
-    if (this.problem) this._heard("link");
+    if (this.problem) this._changed("link");
     else this._connect();
   }
 
-  _told(message) {
+  _received(message) {
     if (message.welcome) {
       this.tab = message.welcome;
       this.connected = true;
       this.ready();
-      this._heard("link");
+      this._changed("link");
     } else if (message.hello) {
       this._begin(message.hello);
     } else if (message.status) {
       this.status = message.status;
       this._take(message.status.events);
-      this._heard("status");
+      this._changed("status");
     } else {
       this._waiting.get(message.reply)?.(message);
       this._waiting.delete(message.reply);
@@ -101,7 +101,7 @@ export class LiveSource {
       this.run.events.length = 0;
     } else this.run = { ...rest, columns, events: [], lastEvent: 0 };
     this.run.time = new Float64Array(0);
-    this._heard("run");
+    this._changed("run");
   }
 
   _rows(buffer) {
@@ -121,7 +121,7 @@ export class LiveSource {
       offset += size;
     }
     this.run.time = columns.time.values.subarray(0, columns.time.rows);
-    this._heard("rows");
+    this._changed("rows");
   }
 
   _makeRoom(count) {
