@@ -155,6 +155,7 @@ class Graph:
         make, profile = self.node.create_publisher, qos.user_qos()
         self.poses = make(PoseStamped, names.DESIRED_POSE, profile)
         self.grasp_forces = make(Float64, names.USER_GRASP_FORCE, profile)
+        self.pushes = make(WrenchStamped, names.PUSH, profile)
         self.node.create_subscription(DiagnosticArray, "/diagnostics", self._on_health, 100)
         self._watch(JointState, names.JOINT_STATES)
         self._watch(PoseStamped, names.OBJECT_POSE)
