@@ -178,8 +178,8 @@ function showState(page) {
 
 /** Say why a command was refused; the handles are back where the hand goes by themselves. */
 function refusals(page) {
-  const last = page.source.run?.events.at(-1);
-  if (!last || last.id === page.refused) return;
-  page.refused = last.id;
-  if (last.kind === "refusal") page.say(last.text);
+  const events = page.source.run?.events ?? [];
+  const last = events.findLast((event) => event.kind === "refusal" && event.id > (page.seen ?? Infinity));
+  page.seen = events.at(-1)?.id ?? 0;
+  if (last) page.say(last.text);
 }
