@@ -171,7 +171,7 @@ function showState(page) {
   page.state.textContent = word;
   page.state.className = `verdict ${!source.connected || silent ? "bad" : (MODES[word] ?? "")}`;
   if (page.toggle) page.toggle.textContent = plant?.mode === "paused" ? "run" : "pause";
-  page.lease.textContent = source.drives ? "this tab has control" : "take over";
+  page.lease.textContent = source.drives ? "in control" : "take over";
   page.lease.disabled = source.drives || !source.connected;
   document.documentElement.dataset.drives = source.drives;
 }
