@@ -161,7 +161,8 @@ def test_pushes_of_users_are_told_with_their_largest_force() -> None:
     codec, data = PushCodec(), []
     for tick, force in enumerate([0.0, 1.5, 5.0, 2.0, 0.0, 0.0, 0.5]):
         data.append(codec.encode(np.array([0.6 * force, 0.0, -0.8 * force, 9.0, 0.0, 0.0]), tick))
-    told = [(round(1e9 * e.time), e.kind, e.text) for e in read_pushes(TopicMessages([0] * 7, data))]
+    found = read_pushes(TopicMessages([0] * 7, data))
+    told = [(round(1e9 * e.time), e.kind, e.text) for e in found]
     assert told == [
         (1, "disturbance", "a user pushes with up to 5.0 N"),
         (6, "disturbance", "a user pushes with up to 0.5 N"),
