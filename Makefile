@@ -39,12 +39,13 @@ unexport VIRTUAL_ENV
 INSTALLED := setup.py setup.cfg package.xml pyproject.toml \
 	$(shell find tactile_hand_ros config launch scripts resource -type f ! -path '*/__pycache__/*' 2>/dev/null | LC_ALL=C sort)
 
-.PHONY: help demo run test lint bench study docs docs-figures mutate lock audit setup clean FORCE
+.PHONY: help demo run live test lint bench study docs docs-figures mutate lock audit setup clean FORCE
 .DELETE_ON_ERROR:
 
 help:
 	@echo 'make demo                 the paper'"'"'s experiment across ROS 2 processes, recorded in runs/latest'
 	@echo 'make run SCENARIO=name    any scenario of config/scenarios, or a file; ARGS="..." for the orchestrator'
+	@echo 'make live SCENARIO=name   a hand with a page to watch it, steer it, pull at the object and break things'
 	@echo 'make test                 ruff, mypy and all tests'
 	@echo 'make bench                measure'
 	@echo 'make study NAME=slip      a study: slip, loads, faults, invariance, engines, hands, stalls or fuzz; ARGS="--help" for its options'
@@ -59,6 +60,9 @@ demo: $(VENV)/.package
 
 run: $(VENV)/.package
 	@"$$VENV_PREFIX/bin/tactile-hand" run "$$SCENARIO" $(ARGS)
+
+live: $(VENV)/.package
+	@"$$VENV_PREFIX/bin/tactile-hand" live $(if $(filter-out file,$(origin SCENARIO)),"$$SCENARIO") $(ARGS)
 
 bench: $(VENV)/.studies $(VENV)/.package
 	@$(PY) bench $(ARGS)

@@ -8,6 +8,7 @@ import os
 import queue
 import signal
 import sys
+import webbrowser
 from collections.abc import Callable, Iterator
 from types import FrameType
 from typing import Any
@@ -143,6 +144,13 @@ class Signals:
 def prepare_for_ros() -> None:
     """Set HOME: without it, rclpy has no folder for its logs and ends the process."""
     os.environ.setdefault("HOME", os.path.expanduser("~"))
+
+
+def open_in_browser(address: str) -> None:
+    """Open an address in a browser where there is a desktop; one in the terminal would block it."""
+    if os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"):
+        with contextlib.suppress(webbrowser.Error):
+            webbrowser.open(address)
 
 
 class LastingOutput:

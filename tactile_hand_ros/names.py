@@ -38,6 +38,7 @@ USER_COMMANDS = (DESIRED_POSE, USER_GRASP_FORCE)
 """Only the node that acts on a command subscribes to it, so a command with a matched subscriber
 reaches the right node. All other nodes use the topics of accepted and rejected commands."""
 HAPTIC_FEEDBACK = "haptic_feedback"
+PUSH = "push"
 OBJECT_POSE = "ground_truth/object_pose"
 TRUE_CONTACTS = "ground_truth/contacts"
 TRUE_SLIP = "ground_truth/slip"
@@ -48,11 +49,14 @@ OF_ALL_NODES = ("/parameter_events", "/rosout")
 """Topics on which every node publishes, even during startup."""
 OF_ALL = (DIAGNOSTICS, *OF_ALL_NODES)
 """Topics that every node has."""
+HIDDEN = "_"
+"""First letter of topics that belong to the tools: neither listed nor recorded."""
 
 RESET = "~/reset"
 ENABLE = "~/enable"
 GRASP = "~/grasp"
 RUN = "~/run"
+STEP = "~/step"
 
 PALM_FRAME = "palm"
 
@@ -62,6 +66,7 @@ REGULATOR = "slip_regulator"
 OPTIMIZER = "force_optimizer"
 CONTROLLER = "manipulation_controller"
 RECORDER = "recorder"
+COCKPIT = "cockpit"
 COMPOSED = "composed"  # all nodes in one process
 RECORD = "--record"  # its argument that adds the recorder
 ORCHESTRATOR = "orchestrator"
@@ -100,6 +105,11 @@ def accepted_requests(node: str) -> str:
 def rejected(node: str) -> str:
     """Return the topic of the user commands that a node rejected."""
     return f"rejected/{node}"
+
+
+def ticks_of(node: str) -> str:
+    """Return the topic of a node's tick messages in batches, for viewers."""
+    return f"{HIDDEN}ticks/{node}"
 
 
 def contact_frame(finger: str) -> str:

@@ -15,7 +15,7 @@ except ModuleNotFoundError:  # the nodes run without it
         "tactile-hand needs the Python libraries typer and rich; run `pip install typer rich`."
     )
 
-from tactile_hand_ros.cli import experiments, runs, steer
+from tactile_hand_ros.cli import experiments, live, runs, steer
 from tactile_hand_ros.command_line import prepare_for_ros, run_command
 from tactile_hand_ros.config.paths import use_own_prefix
 from tactile_hand_ros.orchestrator import command as orchestrator
@@ -24,6 +24,7 @@ PROGRAM = "tactile-hand"
 
 EXAMPLES = {
     "run": "run human_pull --set slip_regulator.mode=user --duration 5",
+    "live": "live human_hold --set plant.rate=500",
     "grasp": "grasp my/my_hand.yaml 0.06",
     "release": "release --namespace /left",
     "reset": "reset --namespace /left",
@@ -57,6 +58,7 @@ def _example(command: Callable[..., None]) -> str | None:
 
 for _command in (
     orchestrator.run,
+    *live.COMMANDS,
     *steer.COMMANDS,
     *experiments.COMMANDS,
     *runs.COMMANDS,

@@ -5,7 +5,8 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager
 
 import typer
 
@@ -29,11 +30,17 @@ def run(context: typer.Context, options: RunOptions) -> None:
     by SIGINT, SIGTERM.
     """
     signals, ros_arguments = context.obj or (_watching(), [])
-    raise typer.Exit(_run(options, signals, ros_arguments, str(context.find_root().info_name)))
+    raise typer.Exit(start(options, signals, ros_arguments, str(context.find_root().info_name)))
 
 
-def _run(options: RunOptions, signals: Signals, ros_arguments: Sequence[str], program: str) -> int:
-    """Load the orchestrator, run a scenario and return the exit code."""
+def start(
+    options: RunOptions,
+    signals: Signals,
+    ros_arguments: Sequence[str],
+    program: str,
+    beside: Callable[..., AbstractContextManager[None]] | None = None,
+) -> int:
+    """Load the orchestrator, run a scenario and return the exit code; see `execute.execute`."""
     from tactile_hand_ros.ros.middleware import check_environment
 
     check_environment(os.environ)
@@ -44,7 +51,7 @@ def _run(options: RunOptions, signals: Signals, ros_arguments: Sequence[str], pr
     from tactile_hand_ros.orchestrator.execute import execute
 
     try:
-        return execute(options, signals, ros_arguments)
+        return execute(options, signals, ros_arguments, beside)
     except Interrupted as interruption:
         say(program, f"{interruption}, before anything was started.")
         return signals.exit_code

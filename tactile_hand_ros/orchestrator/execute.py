@@ -9,7 +9,8 @@ import functools
 import hashlib
 import socket
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import AbstractContextManager
 from typing import IO, cast
 
 from rich.console import Console
@@ -36,8 +37,15 @@ class RunInProgressError(TactileHandError):
     """Another run is in progress in the same ROS domain and namespace."""
 
 
-def execute(options: RunOptions, signals: Signals, ros_arguments: Sequence[str] = ()) -> int:
+def execute(
+    options: RunOptions,
+    signals: Signals,
+    ros_arguments: Sequence[str] = (),
+    beside: Callable[..., AbstractContextManager[None]] | None = None,
+) -> int:
     """Run a scenario with these options, and return the exit code.
+
+    `beside` makes a context around the run from its plan, its directory and the console.
 
     Raises:
         TactileHandError: If the scenario was rejected; nothing was started.
@@ -66,7 +74,8 @@ def execute(options: RunOptions, signals: Signals, ros_arguments: Sequence[str] 
         duration = None if plan.interactive else plan.scenario.duration
         view = View(console, duration, quiet=options.quiet)
         joining = graph_node(ros, ORCHESTRATOR, plan.namespace)
-        outcome = Session(plan, directory, signals).run(joining, view)
+        with beside(plan, directory, console) if beside else contextlib.nullcontext():
+            outcome = Session(plan, directory, signals).run(joining, view)
     return _conclude(plan, directory, outcome, options, signals.exit_code, console)
 
 

@@ -49,6 +49,7 @@ def _ends(reports: Mapping[str, Mapping[str, str] | None], end: str) -> dict[str
     for name, values in reports.items():
         for key, count in (values or {}).items():
             kind, _, topic = key.partition(" ")
-            if kind == end and topic not in names.OF_ALL:
+            is_hidden = f"/{names.HIDDEN}" in topic
+            if kind == end and topic not in names.OF_ALL and not is_hidden:
                 found.setdefault(topic, {})[name] = int(count)
     return found

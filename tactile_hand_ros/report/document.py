@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_hand_ros.closed_loop.record import Record
-from tactile_hand_ros.report import facts, model, style
+from tactile_hand_ros.report import facts, model
 from tactile_hand_ros.run import derived
 from tactile_hand_ros.run.derived import gaps
 from tactile_hand_ros.run.result import RunData
@@ -55,8 +55,8 @@ def run_document(run: RunData, *, room: int = MAX_BYTES) -> dict[str, Any]:
         "passed": facts.passed(run),
         "shown": len(rows),
         "ticks": len(record),
-        "fingers": _fingers(record),
-        "joints": _joints(record, hand),
+        "fingers": model.fingers(record.finger_names),
+        "joints": model.joints(record.joint_names, record.finger_names, hand),
         "columns": {
             name: pack(_shown(values, rows, broken if name in breaking else []), _code(name))
             for name, values in columns.items()
@@ -136,37 +136,6 @@ def _rows(run: RunData, limit: int) -> Rows:
 def _highest(values: Array) -> Array:
     """Return the largest value of each row; a bag may lack a finger."""
     return np.asarray(values.max(axis=1, initial=-np.inf))
-
-
-def _fingers(record: Record) -> list[dict[str, Any]]:
-    return [
-        {"name": name, "label": style.pretty(name), "color": style.finger_color(i)}
-        for i, name in enumerate(record.finger_names)
-    ]
-
-
-def _joints(record: Record, hand: dict[str, Any] | None) -> list[dict[str, Any]]:
-    """Return name, finger (index, -1 if unknown) and position in the finger of each joint."""
-    owner = _owners(record, hand)
-    joints: list[dict[str, Any]] = []
-    for column, name in enumerate(record.joint_names):
-        finger = owner.get(column, -1)
-        place = sum(joint["finger"] == finger for joint in joints)
-        joints.append({"label": style.pretty(name), "finger": finger, "place": place})
-    return joints
-
-
-def _owners(record: Record, hand: dict[str, Any] | None) -> dict[int, int]:
-    """Return the finger of each joint, by walking from the tips to the palm."""
-    found: dict[int, int] = {}
-    for tip in hand["tips"] if hand else []:
-        link = tip["link"]
-        while tip["finger"] in record.finger_names and link >= 0:
-            column = hand["links"][link].get("joint", -1) if hand else -1
-            found[column] = record.finger_names.index(tip["finger"])
-            link = hand["links"][link]["parent"] if hand else -1
-    found.pop(-1, None)
-    return found
 
 
 def _date(run: RunData) -> str:

@@ -13,8 +13,10 @@ from numpy.typing import NDArray
 from tactile_hand_ros.config.hand_config import load_hand_config
 from tactile_hand_ros.errors import HandModelError, TactileHandError
 from tactile_hand_ros.hand.hand import Hand
+from tactile_hand_ros.report import style
 from tactile_hand_ros.rotations import quaternion_from_rotation, rotation_from_vector
 from tactile_hand_ros.run.result import RunData
+from tactile_hand_ros.simulation.solid import Solid
 
 
 def hand(run: RunData) -> tuple[dict[str, Any] | None, str]:
@@ -55,11 +57,50 @@ def solid(run: RunData) -> tuple[dict[str, Any] | None, str]:
         shape = run.scenario.plant.object.solid()
     except TactileHandError as error:  # a mesh on the machine of the run
         return None, f"The object cannot be drawn: {error}."
+    return solid_of(shape), ""
+
+
+def solid_of(shape: Solid) -> dict[str, Any]:
+    """Return corners in m, faces and edges of a shape."""
     return {
         "vertices": shape.vertices.tolist(),
         "faces": [corners.tolist() for corners in shape.face_corners],
         "edges": shape.edges.tolist(),
-    }, ""
+    }
+
+
+def fingers(names: Sequence[str]) -> list[dict[str, Any]]:
+    """Return name, label and color of each finger."""
+    return [
+        {"name": name, "label": style.pretty(name), "color": style.finger_color(i)}
+        for i, name in enumerate(names)
+    ]
+
+
+def joints(
+    names: Sequence[str], finger_names: Sequence[str], hand: dict[str, Any] | None
+) -> list[dict[str, Any]]:
+    """Return name, finger (index, -1 if unknown) and position in the finger of each joint."""
+    owner = _owners(finger_names, hand)
+    found: list[dict[str, Any]] = []
+    for column, name in enumerate(names):
+        finger = owner.get(column, -1)
+        place = sum(joint["finger"] == finger for joint in found)
+        found.append({"label": style.pretty(name), "finger": finger, "place": place})
+    return found
+
+
+def _owners(finger_names: Sequence[str], hand: dict[str, Any] | None) -> dict[int, int]:
+    """Return the finger of each joint, by walking from the tips to the palm."""
+    found: dict[int, int] = {}
+    for tip in hand["tips"] if hand else []:
+        link = tip["link"]
+        while tip["finger"] in finger_names and link >= 0:
+            column = hand["links"][link].get("joint", -1) if hand else -1
+            found[column] = finger_names.index(tip["finger"])
+            link = hand["links"][link]["parent"] if hand else -1
+    found.pop(-1, None)
+    return found
 
 
 Array = NDArray[np.float64]

@@ -50,14 +50,24 @@ def write_report(run: RunData, folder: Path | None = None) -> Path:
 
 def page(documents: list[dict[str, Any]]) -> str:
     """Return a self-contained HTML page of the documents of `run_document`, one per section."""
+    return _filled(str(documents[-1]["name"]), {"runs": documents}, "'none'")
+
+
+def live_page(name: str) -> str:
+    """Return the same page for a running hand: it connects to the WebSocket ``socket``."""
+    return _filled(name, {"live": name}, "'self'")
+
+
+def _filled(name: str, content: dict[str, Any], connections: str) -> str:
     style, script = _resource("viewer.css"), _resource("viewer.js")
     parts = {
-        "title": html.escape(f"{documents[-1]['name']} - tactile hand"),
+        "title": html.escape(f"{name} - tactile hand"),
         "style": style,
         "style_hash": _source_hash(style),
         "script": script,
         "script_hash": _source_hash(script),
-        "document": _json({"axes": [axis_color(i) for i in range(3)], "runs": documents}),
+        "connections": connections,
+        "document": _json({"axes": [axis_color(i) for i in range(3)], **content}),
     }
     return _PLACE.sub(lambda place: parts[place.group(1)], _resource("template.html"))
 

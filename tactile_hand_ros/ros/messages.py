@@ -208,6 +208,39 @@ class WrenchCodec:
         return stamp, force[1]
 
 
+class PushCodec:
+    """geometry_msgs/WrenchStamped with force [N] and torque [N m] on the object, palm axes."""
+
+    def __init__(self) -> None:
+        """Create the codec."""
+        self._template = CdrTemplate().text(PALM_FRAME).doubles(6)
+        self._wrench = self._template.finish()[0]
+        self._read = ContentReader("geometry_msgs/msg/WrenchStamped")
+
+    def encode(self, wrench: Array, stamp_ns: int) -> bytes:
+        """Return the message for a wrench of shape (6,).
+
+        Raises:
+            UnsafeOutputError: If it is not finite.
+        """
+        self._wrench[:] = wrench
+        check_output(self._wrench)
+        return self._template.stamped(stamp_ns)
+
+    def decode(self, data: bytes) -> tuple[int, Array]:
+        """Return timestamp [ns] and wrench, shape (6,).
+
+        Raises:
+            MessageError: For bytes of another type, a wrong frame, or a number that is not finite.
+        """
+        content = self._read(data)
+        _check_frame(content, PALM_FRAME)
+        wrench = content.doubles["wrench"]
+        _checked_vector(wrench[:3].tolist(), "the force")
+        _checked_vector(wrench[3:].tolist(), "the torque")
+        return content.stamp, wrench
+
+
 class ContactsCodec:
     """geometry_msgs/PoseArray with the contact frames C_i of k fingers in the palm frame."""
 

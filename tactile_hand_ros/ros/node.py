@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import copy
 import functools
+import os
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -34,6 +35,7 @@ from tactile_hand_ros.ros import qos
 from tactile_hand_ros.ros.diagnostics import Diagnostics
 from tactile_hand_ros.ros.endpoints import TickFailedError, described, refusal
 from tactile_hand_ros.ros.parameters import ConfigParameters, with_known_types
+from tactile_hand_ros.ros.relay import TickRelay
 from tactile_hand_ros.ros.scheduling import report_scheduling
 
 C = TypeVar("C", bound=Config)
@@ -76,6 +78,10 @@ class TickPublisher:
     def add_tap(self, tap: Callable[[bytes], None]) -> None:
         """Call back with each future message before it is sent."""
         self._taps.append(tap)
+
+    def remove_tap(self, tap: Callable[[bytes], None]) -> None:
+        """Stop calling back."""
+        self._taps.remove(tap)
 
     @property
     def wanted(self) -> bool:
@@ -233,6 +239,8 @@ class TactileNode(Node, Generic[C]):
         self, message_type: Any, topic: str, encode: Callable[..., bytes]
     ) -> TickPublisher:
         """Create a publisher of tick messages."""
+        if not self.tick_publishers:
+            TickRelay(self, self.tick_publishers)
         self.tick_publishers.append(TickPublisher(self, message_type, topic, encode))
         return self.tick_publishers[-1]
 
@@ -352,6 +360,7 @@ class TactileNode(Node, Generic[C]):
         """Publish the state of the node; called by a timer, or by the node at any time."""
         self.on_report()
         report_scheduling(self.diagnostics)
+        self.diagnostics.value("pid", os.getpid())
         message = DiagnosticArray(status=[self.diagnostics.status()])
         message.header.stamp = self.get_clock().now().to_msg()
         self._diagnostics_publisher.publish(message)

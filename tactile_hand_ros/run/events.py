@@ -11,9 +11,12 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_hand_ros import names
 from tactile_hand_ros.bag.reader import TopicMessages, decode
+from tactile_hand_ros.cdr import ContentReader
 from tactile_hand_ros.closed_loop.record import Record
 from tactile_hand_ros.control.slip.detector import ContactState
+from tactile_hand_ros.errors import BagError, MessageError
 from tactile_hand_ros.run.derived import gaps, silent, spans
 from tactile_hand_ros.scenario.scenario import Scenario
 
@@ -129,6 +132,21 @@ def asked_events(requests: Sequence[Asked], refusals: Sequence[Asked]) -> list[E
         Event(1e-9 * each.stamp, "refusal", "", f"{each.key} is rejected: {each.value}")
         for each in refusals
     ]
+
+
+def read_pushes(messages: TopicMessages) -> list[Event]:
+    """Return the pushes of users, each with its largest force; raise BagError if one is broken."""
+    found: list[Event] = []
+    read = ContentReader("geometry_msgs/msg/WrenchStamped")
+    try:
+        pushes = [read(data) for data in messages.data]
+    except MessageError as error:
+        raise BagError(f"A message of {names.PUSH} cannot be read: {error}") from None
+    sizes = np.array([np.linalg.norm(push.doubles["wrench"][:3]) for push in pushes])
+    for first, end in spans(sizes > 0.0):
+        text = f"a user pushes with up to {sizes[first:end].max():.1f} N"
+        found.append(Event(1e-9 * pushes[first].stamp, "disturbance", "", text))
+    return found
 
 
 def slip_count(record: Record) -> int:

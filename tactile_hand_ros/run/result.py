@@ -39,6 +39,7 @@ class RunData:
         steered: Whether a user steered the run, so that no goal applies.
         requests: The service calls that changed the controller.
         refusals: The user commands that were rejected.
+        pushes: When users pushed at the object.
         bag_metrics: Completeness and timing of the bag, None without one.
         latencies: Wall time from each tick to its command, shape (n,), s; NaN without a bag.
         custom_data: Notes of the recorder: versions, lost messages.
@@ -52,6 +53,7 @@ class RunData:
     steered = False
     requests: Sequence[Asked] = ()
     refusals: Sequence[Asked] = ()
+    pushes: Sequence[Event] = ()
     bag_metrics: BagMetrics | None = None
     custom_data: Mapping[str, str] = {}
     start_time: int | None = None
@@ -120,7 +122,7 @@ class RunData:
     def events(self) -> list[Event]:
         """The events in order of time: see `run.events.Event`."""
         found = events(self.record, self.scenario, dropped=self.metrics.dropped_at_s)
-        found += asked_events(self.requests, self.refusals)
+        found += [*asked_events(self.requests, self.refusals), *self.pushes]
         return sorted(found, key=lambda event: event.time)
 
     def to_pandas(self) -> Any:

@@ -16,7 +16,7 @@ from tactile_hand_ros.config.model import validate
 from tactile_hand_ros.config.plain_yaml import parse_yaml, read_yaml
 from tactile_hand_ros.errors import BagError, ConfigurationError, TactileHandError
 from tactile_hand_ros.report.page import Result
-from tactile_hand_ros.run.events import Asked, read_asked
+from tactile_hand_ros.run.events import Asked, read_asked, read_pushes
 from tactile_hand_ros.run.reading import (
     HandTopics,
     align,
@@ -92,7 +92,7 @@ class Run(Result):
         self.name = folder if self.scenario is None else self.scenario.name
         self.topics = self._find_topics(namespace, fingers)
         asked = [*map(names.accepted_requests, _CONTROLLERS), *_REFUSALS]
-        wanted = {*self.topics.types, *map(self.topics.full, asked)}
+        wanted = {*self.topics.types, *map(self.topics.full, [*asked, names.PUSH])}
         description = self.topics.full(names.ROBOT_DESCRIPTION)
         messages = read_topics(self.bag, {*wanted, description})
         self.description = self._read_description(messages.pop(description))
@@ -162,6 +162,7 @@ class Run(Result):
         self.record = align(self.series, self.topics)
         self.requests = self._asked(names.accepted_requests(names.CONTROLLER))
         self.refusals = sorted(each for name in _REFUSALS for each in self._asked(name))
+        self.pushes = read_pushes(messages[self.topics.full(names.PUSH)])
         self.bag_metrics = bag_metrics(self.series, self.topics, self.summary.message_count)
         self.latencies = latencies(self.series, self.topics)
         return self

@@ -63,7 +63,16 @@ class MujocoPlant(Plant):
         # Its warnings would go to a file in the working directory; `drive` reports divergence.
         self._mj.set_mju_user_warning(lambda text: None)
         super().__init__(config)
-        self._model = model = _Builder(self._mj, self.hand, config, self._world.inertia).build()
+        self._build()
+
+    def configure(self, config: PlantConfig) -> None:
+        """Change friction and mass of the object; see `Plant`."""
+        super().configure(config)
+        self._build()
+
+    def _build(self) -> None:
+        inertia = self._world.inertia
+        self._model = model = _Builder(self._mj, self.hand, self.config, inertia).build()
         self._data = self._mj.MjData(model)
         # The object comes last, so angle and rate of a joint have the same index.
         self._driven = [model.joint(name).qposadr[0] for name in self.hand.joint_names]

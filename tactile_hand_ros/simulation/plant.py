@@ -118,15 +118,33 @@ class Plant:
             self.hand = Hand.load(*true, link_lengths=c.link_lengths, tip_radii=c.tip_radii)
             self._reach = _REACH_BY_TOUCH
         self.solid = config.object.solid()
-        inertia = config.object.inertia_about(self.solid)
-        tip, body = config.contact, (config.object.mass, inertia)
-        self._world = World(self.hand.radii, self.solid.shape, *body, tip.compliance, tip.torsion)
-        self._weight = np.concatenate([config.object.mass * self._gravity, np.zeros(3)])
+        self._load_object()
         self._initial_joints = self._expand(config.initial_joints)
         self._joint_sensor = JointSensor(
             config.encoder, config.effort_noise, config.time_step, config.seed
         )
         self.reset()
+
+    def configure(self, config: PlantConfig) -> None:
+        """Change friction and mass of the object, also for the time after a reset."""
+        self.config = config
+        self.friction[:] = config.object.friction
+        self._load_object()
+
+    def _load_object(self) -> None:
+        c, tip = self.config.object, self.config.contact
+        body = c.mass, c.inertia_about(self.solid)
+        self._world = World(self.hand.radii, self.solid.shape, *body, tip.compliance, tip.torsion)
+        self._weight = np.concatenate([c.mass * self.hand.gravity, np.zeros(3)])
+
+    def push(self, wrench: Array, until: float) -> None:
+        """Push the object, in addition to the disturbances, until a time in s.
+
+        Args:
+            wrench: Force and torque about the center of mass, palm axes, shape (6,), N and N m.
+            until: Simulated time at which it ends, s.
+        """
+        self._push, self._push_end = wrench, until
 
     def _expand(self, given: list[float]) -> Array:
         m, k = self.hand.joints, self.hand.fingers
@@ -150,6 +168,7 @@ class Plant:
         self._now = self._closed(at_rest(*start, self.hand.fingers, self._world.torsion))
         self.friction = np.full(self.hand.fingers, c.friction)
         self._torque = np.zeros(self.hand.joints)
+        self.push(np.zeros(6), 0.0)
         self._turn_palm(0.0)
         self.relaxed_steps = self.unsolved_steps = 0
         self._changes = sorted(self.config.friction_changes, key=lambda change: change.start)
@@ -231,6 +250,8 @@ class Plant:
             wrench = wrench + apparent_wrench(turning, (self._world.mass, inertia), body_motion)
         if self.config.disturbances:
             wrench = external_wrench(self.config.disturbances, middle) + wrench
+        if middle < self._push_end:
+            wrench = self._push + wrench
         self._now = self._moved(h, turns, wrench)
         self.relaxed_steps += self._now.outcome == RELAXED
         self.unsolved_steps += self._now.outcome == UNSOLVED

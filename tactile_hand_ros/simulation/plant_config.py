@@ -33,7 +33,7 @@ class ObjectConfig(Config):
     )
     mesh: str = param("", "file with a closed surface, such as STL; its convex hull is touched")
     scale: float = param(1.0, "meters per unit of the mesh", gt=0.0)
-    mass: float = param(0.0018, "mass", unit="kg", gt=0.0)
+    mass: float = param(0.0018, "mass", unit="kg", live=True, gt=0.0)
     inertia: list[float] = param(
         [], "inertia about its axes, empty for a uniform body", unit="kg m^2", max_length=3
     )
@@ -202,6 +202,13 @@ class PlantConfig(Config):
     rate: float = param(500.0, "ticks per second of simulated time", unit="Hz", gt=0.0, le=10000.0)
     pacing: Literal["lockstep", "realtime"] = param(
         "lockstep", "lockstep waits for each command, realtime follows the wall clock"
+    )
+    speed: float = param(
+        0.0,
+        "simulated seconds per second in lockstep, at most; 0 for as fast as possible",
+        live=True,
+        ge=0.0,
+        le=100.0,
     )
     duration: float = param(0.0, "simulated time of the run, 0 for no end", unit="s", ge=0.0)
     autostart: bool = param(True, "run immediately; otherwise wait for the run service")

@@ -12,6 +12,9 @@ from tactile_hand_ros.simulation.plant_config import PlantConfig
 
 Array = NDArray[np.float64]
 
+PUSH_LASTS = 200_000_000
+"""Time after which a push ends that is not renewed, so that no dead user pulls on, ns."""
+
 
 class PlantRun:
     """Moves a plant tick by tick, with a guard in front of the joints.
@@ -49,9 +52,8 @@ class PlantRun:
         self._refused = ""
 
     def configure(self, config: PlantConfig) -> None:
-        """Change the friction, also for the time after a reset."""
-        self.plant.config = config
-        self.plant.friction[:] = config.object.friction
+        """Change friction and mass of the object, also for the time after a reset."""
+        self.plant.configure(config)
 
     @property
     def is_last(self) -> bool:
@@ -84,6 +86,14 @@ class PlantRun:
     def release(self) -> None:
         """Let good commands act again."""
         self._refused = ""
+
+    def push(self, stamp: int, wrench: Array) -> None:
+        """Push the object for `PUSH_LASTS` from a stamp, ns, on; from now on if that is 0 or later.
+
+        The wrench acts at the center of mass, palm axes, shape (6,), N and N m.
+        """
+        since = min(stamp or self.stamp, self.stamp)
+        self.plant.push(wrench, 1e-9 * (since + PUSH_LASTS))
 
     def advance(self) -> None:
         """Move one tick ahead."""

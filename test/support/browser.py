@@ -66,16 +66,18 @@ class Page:
         self._requests: list[str] = []
         self._errors: list[str] = []
 
-    def open(self, file: Path, *, dark: bool = False, size: tuple[int, int] = (1000, 700)) -> None:
-        """Open a file and wait until it is drawn; clear the logs."""
+    def open(
+        self, place: Path | str, *, dark: bool = False, size: tuple[int, int] = (1000, 700)
+    ) -> None:
+        """Open a file or an address and wait until it is drawn; clear the logs."""
         for name in ("browser", "performance"):
             self.driver.get_log(name)
         self._requests, self._errors = [], []
         scheme = {"name": "prefers-color-scheme", "value": "dark" if dark else "light"}
         self.driver.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": [scheme]})
         self._shape(size)
-        self.driver.get(file.resolve().as_uri())
-        self.wait(lambda: self.js("return Boolean(window.report)"))
+        self.driver.get(place if isinstance(place, str) else place.resolve().as_uri())
+        self.wait(lambda: self.js("return Boolean(window.report?.charts.length)"))
         self.wait(lambda: self.js(_FITTED))
 
     def resize(self, size: tuple[int, int]) -> None:

@@ -103,7 +103,7 @@ class Graph:
         """Start everything and wait until all have matched each other."""
         try:
             if self._composed:
-                self._launch("composed", NODES)
+                self.start_composed()
             else:
                 for name in NODES:
                     self.start(name)
@@ -126,6 +126,10 @@ class Graph:
     def start(self, name: str) -> CapturedProcess:
         """Start or restart a node with the parameters of the scenario."""
         return self._launch(name, [name])
+
+    def start_composed(self) -> CapturedProcess:
+        """Start or restart all nodes in one process."""
+        return self._launch("composed", NODES)
 
     def _launch(self, executable: str, nodes: Iterable[str], *words: str) -> CapturedProcess:
         arguments = ["-r", f"__ns:={self.namespace}"] if self.namespace else []
@@ -151,6 +155,7 @@ class Graph:
         make, profile = self.node.create_publisher, qos.user_qos()
         self.poses = make(PoseStamped, names.DESIRED_POSE, profile)
         self.grasp_forces = make(Float64, names.USER_GRASP_FORCE, profile)
+        self.pushes = make(WrenchStamped, names.PUSH, profile)
         self.node.create_subscription(DiagnosticArray, "/diagnostics", self._on_health, 100)
         self._watch(JointState, names.JOINT_STATES)
         self._watch(PoseStamped, names.OBJECT_POSE)

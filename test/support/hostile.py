@@ -13,6 +13,7 @@ from tactile_hand_ros.ros.messages import (
     ContactsCodec,
     JointCodec,
     PoseCodec,
+    PushCodec,
     WrenchCodec,
     read_number,
 )
@@ -65,6 +66,7 @@ def message_readers() -> dict[str, Reader]:
         "slip": Reader(slip.decode, slip.encode(7, three, three)),
         "grip": Reader(grip.decode, grip.encode(7, three, three, three)),
         "pose": Reader(PoseCodec().decode, PoseCodec().encode(three, turns[0], 7)),
+        "push": Reader(PushCodec().decode, PushCodec().encode(np.arange(6.0), 7)),
         "number": Reader(_read_number, bytes(serialize_message(Float64(data=3.0)))),
     }
 

@@ -26,7 +26,7 @@ TIERS = (
     ("closed_loop",),
     ("ros", "bag"),
     ("nodes", "run", "report"),
-    ("verify", "steering"),
+    ("verify", "steering", "cockpit"),
     ("orchestrator",),
     ("sweep",),
     ("front_door",),

@@ -7,6 +7,7 @@ from typing import Literal, get_args, get_origin
 
 import pytest
 
+from tactile_hand_ros.cockpit.config import CockpitConfig
 from tactile_hand_ros.config.model import leaves
 from tactile_hand_ros.nodes.driver_output import DriverOutputConfig
 from tactile_hand_ros.nodes.recorder.config import RecorderConfig
@@ -18,6 +19,7 @@ NODES = ("plant", "tactile_sensor", "slip_regulator", "force_optimizer", "manipu
 MODELS = {name: Scenario.model_fields[name].annotation for name in NODES}
 MODELS["recorder"] = RecorderConfig
 MODELS["driver_output"] = DriverOutputConfig
+MODELS["cockpit"] = CockpitConfig
 SIGNS = {"Ge": "≥", "Gt": ">", "Le": "≤", "Lt": "<"}
 
 
@@ -48,6 +50,6 @@ def test_the_page_lists_what_is_declared(node):
     text = PAGE.read_text("utf-8")
     section = text.split(f"\n## `{node}`\n")[1].split("\n## ")[0].split("\n### ")[0]
     written = [line for line in section.splitlines() if line.startswith("| `")]
-    shared = SHARED if node in NODES else ()
+    shared = {"recorder": (), "cockpit": ("hand", "object")}.get(node, SHARED)
     fields = {n: f for n, f in leaves(MODELS[node]).items() if n.split(".")[0] not in shared}
     assert written == [row(name, field) for name, field in fields.items()]

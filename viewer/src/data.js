@@ -6,7 +6,7 @@ const TYPES = { f4: Float32Array, f8: Float64Array, u1: Uint8Array };
 /** Read the document that the page carries. */
 export function readDocument() {
   const content = JSON.parse(document.getElementById("document").textContent);
-  for (const run of content.runs) {
+  for (const run of content.runs ?? []) {
     for (const name of Object.keys(run.columns)) run.columns[name] = unpack(run.columns[name]);
     run.time = run.columns.time.values;
   }

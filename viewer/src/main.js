@@ -7,6 +7,7 @@ import { Chart } from "./charts/chart.js";
 import { runCharts } from "./charts/run.js";
 import { readDocument } from "./data.js";
 import { el } from "./dom.js";
+import { showLive } from "./live/cockpit.js";
 import { KEYS, listenToKeys } from "./keyboard.js";
 import { header, sections } from "./page/header.js";
 import { ledger } from "./page/ledger.js";
@@ -60,4 +61,4 @@ function showSection() {
 }
 
 /** For tests and for the console. */
-window.report = showSection();
+window.report = content.live ? showLive(content, theme, root) : showSection();

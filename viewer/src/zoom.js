@@ -28,6 +28,13 @@ export class Zoom {
     for (const listener of this._listeners) listener(this);
   }
 
+  /** Move start and end on; `width` of the end is shown, or what was shown before. */
+  slide(start, end, width) {
+    [this.start, this.end] = [start, Math.max(end, start + 1e-3)];
+    if (width) this.set(this.end - width, this.end);
+    else this.set(this.min, this.max);
+  }
+
   reset() {
     this.set(this.start, this.end);
   }

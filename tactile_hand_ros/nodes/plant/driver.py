@@ -20,7 +20,7 @@ from tactile_hand_ros.cdr import clock_bytes
 from tactile_hand_ros.errors import DivergedError
 from tactile_hand_ros.hand.hand import Hand
 from tactile_hand_ros.nodes.common import ModeLog, ReadingPublisher
-from tactile_hand_ros.nodes.plant.real_time import Pace
+from tactile_hand_ros.nodes.plant.real_time import Brake, Pace
 from tactile_hand_ros.ros import qos
 from tactile_hand_ros.ros.diagnostics import ERROR, OK, WARN
 from tactile_hand_ros.ros.messages import ImuCodec, JointCodec, PoseCodec
@@ -143,6 +143,10 @@ class PlantDriver:
         self._pace = Pace(c.tick)
         self._pacer = node.create_timer(1e-9 * c.tick, self._on_pace)
         self._pacer.timer_period_ns = c.tick
+        self._brake = Brake(c.tick)
+        self._is_answered = self._is_single = False
+        self._braker = node.create_timer(1e-9 * c.tick, self._on_brake)
+        self._braker.cancel()
         watch = 0.25 * min(c.resend_after, c.command_timeout)
         self._watcher = node.create_timer(watch, self._on_watch)
 
@@ -171,6 +175,7 @@ class PlantDriver:
         """
         self._run.release()
         self._publish_hold()
+        self._is_answered = False
         self._diagnostics.clear("state")
         self._answered = self._run.stamp - self._config.tick
         self._answered_at = self._sent_at = time.monotonic()
@@ -179,6 +184,25 @@ class PlantDriver:
             self._watcher.reset()
             self._publish()
         self._node.publish_diagnostics()
+
+    def limit_speed(self, speed: float) -> None:
+        """Limit the speed in lockstep, in simulated seconds per second; 0 for no limit."""
+        if not self._is_lockstep or speed == self._brake.speed:
+            return
+        self._braker.cancel()
+        self._brake.set(speed)
+        if speed > 0.0:
+            self._braker.timer_period_ns = self._brake.period
+            self._braker.reset()
+        else:
+            self._on_brake()
+
+    def step_once(self) -> bool:
+        """Advance one tick and pause; return whether that was possible."""
+        if self._is_on or self._is_finished:
+            return False
+        self._is_single = True
+        return self.switch(True)
 
     def switch(self, is_on: bool) -> bool:
         """Continue or pause; return whether that was possible."""
@@ -229,6 +253,13 @@ class PlantDriver:
         age = self._answered_at - self._sent_at + 1e-9 * (run.stamp - stamp)
         self._diagnostics.latency(age)
         if self._is_lockstep:
+            self._is_answered = True
+            self._on_brake()
+
+    def _on_brake(self) -> None:
+        """Advance if the tick is answered and the speed permits."""
+        if self._is_answered and self._brake.permits():
+            self._is_answered = False
             self._advance(1)
 
     def _note_answer(self, stamp: int) -> None:
@@ -252,6 +283,7 @@ class PlantDriver:
         """Hold the joints regardless of commands, while time follows the wall clock."""
         if not self._run.refusing:
             self._run.hold(reason)
+            self._is_answered = False
             if self._is_lockstep:
                 self._let_time_pass(True)
 
@@ -281,6 +313,9 @@ class PlantDriver:
             except DivergedError as error:
                 self._stop(str(error))
                 return
+        if self._is_single:
+            self._is_single = self._is_on = False
+            self._let_time_pass(False)
         self._publish()
         self._publish_hold()
 
@@ -347,7 +382,7 @@ class PlantDriver:
         now = time.monotonic()
         if run.reason == CONFLICT and not self._senders.in_conflict:
             run.hold(_LEFT)
-        if run.refusing or not self._waits or self._torque is not None:
+        if run.refusing or not self._waits or self._torque is not None or self._is_answered:
             return
         if now - self._answered_at >= c.command_timeout:
             self._on_long_silence()

@@ -18,14 +18,16 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from geometry_msgs.msg import WrenchStamped
 from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool, Trigger
 
 from tactile_hand_ros import names
 from tactile_hand_ros.control.grasp import required_friction
 from tactile_hand_ros.nodes.plant.driver import InProcessHand, PlantDriver
+from tactile_hand_ros.ros import qos
 from tactile_hand_ros.ros.diagnostics import WARN
-from tactile_hand_ros.ros.messages import JointCodec
+from tactile_hand_ros.ros.messages import JointCodec, PushCodec
 from tactile_hand_ros.ros.node import TactileNode
 from tactile_hand_ros.ros.runner import run_node
 from tactile_hand_ros.simulation.plant_config import PlantConfig
@@ -44,13 +46,16 @@ class PlantNode(TactileNode[PlantConfig]):
     (std_msgs/String, URDF). At each change, latched: `joint_hold` (std_msgs/Bool, whether the
     guard holds the joints or commands are still taking over). Once a second: `/diagnostics`.
 
-    Subscription: `joint_command` (sensor_msgs/JointState, effort by joint name, N m; stamped with
-    the tick that it answers).
+    Subscriptions: `joint_command` (sensor_msgs/JointState, effort by joint name, N m; stamped with
+    the tick that it answers), `push` (geometry_msgs/WrenchStamped, frame `palm`: force and torque
+    about the object's center of mass, N and N m; ends 0.2 s after its stamp).
 
-    Services: `~/run` (std_srvs/SetBool) continues and pauses, `~/reset` (std_srvs/Trigger) goes
+    Services: `~/run` (std_srvs/SetBool) continues and pauses, `~/step` (std_srvs/Trigger) advances
+    a paused run by one tick, `~/reset` (std_srvs/Trigger) goes
     back to the start at stamp 0.
 
-    Parameters: the fields of `PlantConfig`; `object.friction` is live.
+    Parameters: the fields of `PlantConfig`; `object.friction`, `object.mass` and
+    `speed` are live.
     """
 
     def __init__(self, *, composed: bool = False, **kwargs: Any) -> None:
@@ -65,8 +70,12 @@ class PlantNode(TactileNode[PlantConfig]):
         super().__init__("plant", PlantConfig, **kwargs)
         self._run = PlantRun(self.config)
         self._driver = PlantDriver(self, self._run)
+        self._decode_push = PushCodec().decode
+        self.subscribe(WrenchStamped, names.PUSH, self._on_push, profile=qos.user_qos(), raw=True)
         self.create_service(Trigger, names.RESET, self._on_reset)
         self.create_service(SetBool, names.RUN, self._on_run)
+        self.create_service(Trigger, names.STEP, self._on_step)
+        self._driver.limit_speed(self.config.speed)
         if composed:
             self.work = self._driver.work
         else:
@@ -80,8 +89,9 @@ class PlantNode(TactileNode[PlantConfig]):
         self._driver.begin()
 
     def on_config(self, config: PlantConfig) -> None:
-        """Apply a changed friction."""
+        """Apply a changed friction, mass or speed."""
         self._run.configure(config)
+        self._driver.limit_speed(config.speed)
 
     def to_safe_state(self, reason: str) -> None:
         """Hold the joints."""
@@ -114,9 +124,17 @@ class PlantNode(TactileNode[PlantConfig]):
         stamp, (torque,) = self._joints.decode(data)
         self._driver.command(stamp, torque, info)
 
+    def _on_push(self, data: bytes) -> None:
+        self._run.push(*self._decode_push(data))
+
     def _on_run(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
         response.success = self._driver.switch(request.data)
         response.message = self._driver.mode
+        return response
+
+    def _on_step(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        response.success = self._driver.step_once()
+        response.message = self._driver.mode if response.success else "the plant is not paused"
         return response
 
     def _on_reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Ticks that follow the wall clock: due, late and skipped ones."""
+"""Ticks that follow the wall clock: due, late and skipped ones, and a limit to the speed."""
 
 from __future__ import annotations
 
@@ -65,3 +65,30 @@ class Pace:
         put("late_commands", self.late)
         put("missed_ticks", self.skipped)
         put("lost_s", 1e-9 * self.lost_ns)
+
+
+class Brake:
+    """Permits ticks no faster than a speed; what a slow tick has lost, the next ones make up.
+
+    Attributes:
+        speed: Simulated seconds per second, 0 for no limit.
+        period: Time between two ticks [ns].
+    """
+
+    def __init__(self, tick_ns: int, clock: Callable[[], int] = time.monotonic_ns) -> None:
+        """Create it without a limit; the period of a tick and `clock` are in nanoseconds."""
+        self._tick, self._clock = tick_ns, clock
+        self.set(0.0)
+
+    def set(self, speed: float) -> None:
+        """Change the speed."""
+        self.speed, self.period = speed, round(self._tick / speed) if speed > 0.0 else 0
+        self._due_at = self._clock()
+
+    def permits(self) -> bool:
+        """Return whether the next tick may come now, and count it."""
+        now = self._clock()
+        if self.speed > 0.0 and now < self._due_at - self.period // 2:  # timers may be early
+            return False
+        self._due_at = max(self._due_at, now - _MOST_BEHIND_NS) + self.period
+        return True

@@ -14,7 +14,7 @@ from tactile_hand_ros.scenario.scenario import load_scenario
 
 FINGERS = ("finger_1", "finger_2", "finger_3")
 RECEIVED = {
-    names.PLANT: {"joint_command"},
+    names.PLANT: {"joint_command", "push"},
     names.SENSOR: {"ground_truth/contacts", "ground_truth/slip", *map(names.true_wrench, FINGERS)},
     names.REGULATOR: {
         "tactile/contacts",
@@ -103,4 +103,4 @@ def test_composed_nodes_receive_only_what_users_send(here):
             kind, **({"cones": True} if "optimizer" in _name(kind) else {})
         ).subscriptions
     }
-    assert received == {names.DESIRED_POSE, names.USER_GRASP_FORCE}
+    assert received == {names.DESIRED_POSE, names.USER_GRASP_FORCE, names.PUSH}

@@ -4,9 +4,20 @@
 import numpy as np
 import pytest
 
+from tactile_hand_ros.bag.reader import TopicMessages
 from tactile_hand_ros.closed_loop.record import Record
 from tactile_hand_ros.control.slip.detector import ContactState
-from tactile_hand_ros.run.events import Asked, Event, alarm_count, asked_events, events, slip_count
+from tactile_hand_ros.errors import BagError
+from tactile_hand_ros.ros.messages import PushCodec
+from tactile_hand_ros.run.events import (
+    Asked,
+    Event,
+    alarm_count,
+    asked_events,
+    events,
+    read_pushes,
+    slip_count,
+)
 from tactile_hand_ros.scenario.scenario import load_scenario
 
 
@@ -141,3 +152,18 @@ def test_calls_and_refusals_are_told_with_what_was_asked():
         Event(2.0, "request", "", "a user calls enable (false)"),
         Event(0.5, "refusal", "", "desired_pose is rejected: out of reach"),
     ]
+
+
+def test_pushes_of_users_are_told_with_their_largest_force() -> None:
+    codec, data = PushCodec(), []
+    for tick, force in enumerate([0.0, 1.5, 5.0, 2.0, 0.0, 0.0, 0.5]):
+        data.append(codec.encode(np.array([0.6 * force, 0.0, -0.8 * force, 9.0, 0.0, 0.0]), tick))
+    found = read_pushes(TopicMessages([0] * 7, data))
+    told = [(round(1e9 * e.time), e.kind, e.text) for e in found]
+    assert told == [
+        (1, "disturbance", "a user pushes with up to 5.0 N"),
+        (6, "disturbance", "a user pushes with up to 0.5 N"),
+    ]
+    assert read_pushes(TopicMessages([], [])) == []
+    with pytest.raises(BagError, match="push"):
+        read_pushes(TopicMessages([0], [b"rubbish"]))

@@ -83,3 +83,27 @@ def test_a_reset_run_repeats_to_the_bit_and_keeps_a_live_friction():
     assert (run.plant.friction == 0.25).all()
     run.reset()
     assert (run.plant.friction == 0.25).all()
+
+
+def test_a_push_moves_the_object_until_it_is_not_renewed_and_a_live_mass_counts():
+    free = config().changed({"object.position": (0.0, 0.0, 9.0), "object.mass": 0.2})
+    run = PlantRun(free.changed({"duration": 0.0, "rate": 1000.0, "time_step": 0.001}))
+    push = np.array([0.0, 0.3, 0.0, 0.0, 0.0, 0.0])
+
+    def speed_after(ticks):
+        for _ in range(ticks):
+            run.advance()
+        return run.state.velocity[1]
+
+    assert speed_after(10) == 0.0
+    run.push(0, push)
+    assert speed_after(1000) == pytest.approx(0.3 * 0.2 / 0.2)
+    run.push(run.stamp - 150_000_000, push)  # has traveled for long
+    assert speed_after(100) == pytest.approx(0.3 + 0.3 * 0.05 / 0.2)
+    run.push(run.stamp + 10**12, push)  # from another clock: it does not last longer
+    run.configure(run.plant.config.changed({"object.mass": 0.4}))
+    before = run.state.velocity[1]
+    assert speed_after(1000) == pytest.approx(before + 0.3 * 0.2 / 0.4)
+    run.push(0, push)
+    run.reset()
+    assert speed_after(10) == 0.0

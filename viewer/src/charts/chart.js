@@ -66,7 +66,7 @@ export class Chart {
       legend: { show: false },
       scales: {
         x: { time: false, range: () => [context.zoom.min, context.zoom.max] },
-        y: { ...(spec.log ? { distr: 3, log: 10, range: wholeDecades } : {}), ...(spec.range ? { range: spec.range } : {}) },
+        y: { ...(spec.log ? { distr: 3, log: 10, range: wholeDecades } : {}), ...(spec.range ? { range: (...limits) => spec.range(...limits) } : {}) },
       },
       axes,
       series: [{}, ...spec.lines.map((line) => series(line))],
@@ -134,6 +134,13 @@ export class Chart {
     this._told = now;
     const row = rowAt(this.context.time, player.time);
     for (const item of this.items) item.show(row);
+  }
+
+  /** Show other data of the same lines. */
+  update(spec) {
+    this.spec.range = spec.range;
+    for (const item of this.items) for (const line of item.lines) line.data = spec.lines[line.series - 1].data;
+    this.plot.setData([this.context.time, ...spec.lines.map((line) => line.data)]);
   }
 
   _repaint() {

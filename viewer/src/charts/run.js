@@ -70,13 +70,13 @@ export function runCharts(run, theme) {
       keys: eventKeys(run.events, theme),
       lines: [{ label: "k_f", color: () => theme.get("ink"), data: column(columns.grasp_force, 0), width: 2 }],
     },
-    {
+    columns.latency && {
       title: "Latency of each tick",
       unit: "ms, tick to command",
       log: true,
       lines: [{ label: "latency", color: () => theme.data(fingers[0]?.color ?? "#0072b2"), data: positive(columns.latency, 1e3), points: true }],
     },
-  ];
+  ].filter(Boolean);
 }
 
 /** Return a column for a logarithmic axis, which has no place for zero. */

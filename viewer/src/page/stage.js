@@ -16,19 +16,19 @@ const SHOWN = [
 const VIEWS = ["oblique", "front", "side", "top"];
 const FRESH = 0.5; // s for which the text of an event stays
 
-/** Make the stage; returns its element and the scene, which is null where there is no WebGL. */
-export function stage(run, axes, context) {
+/** Make the stage with a bar below; returns its element and the scene, which is null where there is no WebGL. */
+export function stage(run, axes, context, bar = transport(run, context)) {
   const canvas = el("canvas", { class: "scene", tabindex: "-1", "aria-label": "3D view of hand and object" });
   const element = el("section", { class: "stage" });
   const viewport = el("div", { class: "viewport" }, canvas, hud(run, context.player));
-  element.append(viewport, transport(run, context));
+  element.append(viewport, bar);
   const scene = makeScene(canvas, run, axes, context.theme, viewport);
   if (scene) {
     viewport.append(tools(scene, context.player, element), scaleNote(scene));
     context.player.listen((player) => scene.show(player.time, player.playing));
     new ResizeObserver(() => scene.invalidate()).observe(viewport);
   }
-  return { element, scene };
+  return { element, viewport, scene };
 }
 
 function makeScene(canvas, run, axes, theme, viewport) {
@@ -87,9 +87,13 @@ function tools(scene, player, element) {
 }
 
 function scaleNote(scene) {
-  const newtons = nice(scene.size / scene.newton);
-  const cubic = Math.round(1000 * scene.newton * newtons);
-  return el("div", { class: "scale" }, `arrows: force on the object, ${newtons} N is ${cubic} mm long`);
+  const note = el("div", { class: "scale" });
+  scene.rescaled = () => {
+    const newtons = nice(scene.size / scene.newton);
+    note.textContent = `arrows: force on the object, ${newtons} N is ${Math.round(1000 * scene.newton * newtons)} mm long`;
+  };
+  scene.rescaled();
+  return note;
 }
 
 function nice(value) {

@@ -67,7 +67,8 @@ function makeCone() {
   return { group: new THREE.Group().add(mesh, rim), material, rim };
 }
 
-function makeArrow(radius) {
+/** Make an arrow along y; `show(force, scale, visible)` turns it along a force. */
+export function makeArrow(radius) {
   const material = new THREE.MeshLambertMaterial();
   const shaft = new THREE.Mesh(new THREE.CylinderGeometry(radius, radius, 1, 16).translate(0, 0.5, 0), material);
   const head = new THREE.Mesh(new THREE.ConeGeometry(2.5 * radius, 6 * radius, 24).translate(0, -3 * radius, 0), material);

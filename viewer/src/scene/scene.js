@@ -4,7 +4,7 @@
 import * as THREE from "three";
 import { rowAt, rowOf } from "../data.js";
 import { View } from "./camera.js";
-import { ContactModel } from "./contact.js";
+import { ContactModel, makeArrow } from "./contact.js";
 import { Ground } from "./ground.js";
 import { HandModel } from "./hand.js";
 import { Badge } from "./label.js";
@@ -48,12 +48,25 @@ export class Scene {
     this.grasp = triad(0.55 * size, axes, 3);
     this.trail = new Trail(run.columns.auxiliary_position);
     this.ground = new Ground(size / 2, 12);
+    this.push = run.columns.push ? makeArrow(0.06 * size) : null;
+    if (this.push) this.scene.add(this.push.group);
     this.palm = triad(0.7 * size, axes, 2.5);
     this.palm.material.depthTest = false; // it lies in the spokes of the palm
     this.badges = this._badges();
     const parts = [this.hand, this.solid, this.ghost, this.trail, this.ground, ...this.contacts, ...this.badges];
     this.painted = parts.filter((part) => part);
     this.scene.add(...this.painted.map((part) => part.group), this.goal, this.grasp, this.palm);
+  }
+
+  /** Draw the path anew, of the rows that there are now. */
+  renewTrail() {
+    this.scene.remove(this.trail.group);
+    this.trail.dispose();
+    const renewed = new Trail(this.run.columns.auxiliary_position);
+    this.painted[this.painted.indexOf(this.trail)] = renewed;
+    this.trail = renewed;
+    this.trail.paint(this.theme);
+    this.scene.add(this.trail.group);
   }
 
   _badges() {
@@ -122,6 +135,7 @@ export class Scene {
 
   _paint() {
     for (const part of this.painted) part.paint(this.theme);
+    this.push?.material.color.set(this.theme.event("disturbance"));
     this.sky.intensity = this.theme.dark ? 1.35 : 1.9;
     this.invalidate();
   }
@@ -142,6 +156,7 @@ export class Scene {
     place(this.goal, run.columns.desired_position, run.columns.desired_quaternion, row, this.visible.goal);
     place(this.grasp, run.columns.auxiliary_position, run.columns.auxiliary_quaternion, row, this.visible.frames);
     this._showGhost();
+    if (this.push) this._showPush(row);
     this.trail.group.visible = this.visible.trail;
     this.trail.show(row);
     this.invalidate();
@@ -155,6 +170,25 @@ export class Scene {
       this.contacts[i].show(positions.subarray(3 * i, 3 * i + 3), quaternions.subarray(4 * i, 4 * i + 4), forces.subarray(3 * i, 3 * i + 3), friction[i], this.visible);
     });
     this.hand?.alarm(fingers.map((_, i) => grip[i] === SLIP));
+  }
+
+  /** The push at a row, at the point of its line of action that is nearest to the object's center. */
+  _showPush(row) {
+    const [x, y, z, ...torque] = rowOf(this.run.columns.push, row);
+    const force = new THREE.Vector3(x, y, z);
+    const from = force.clone().cross(new THREE.Vector3(...torque)).divideScalar(force.lengthSq() || 1);
+    if (this.solid) from.add(this.solid.group.position);
+    this.push.group.position.copy(from);
+    this.push.show([x, y, z], this.newton, this.visible.forces && Boolean(this.solid?.known));
+  }
+
+  /** Let the largest of the forces that there are now fill the picture, if that changes much. */
+  rescale() {
+    const newton = (0.7 * this.size) / (strongest(this.run.columns.force) || 1);
+    if (newton > 0.6 * this.newton && newton < 1.6 * this.newton) return;
+    this.newton = newton;
+    for (const contact of this.contacts) contact.scale = newton;
+    this.rescaled?.();
   }
 
   /** The ghost is where the object would be if the grasp, as it is now, were at the goal. */
@@ -236,7 +270,7 @@ function matrixOf(positions, quaternions, row) {
 /** Return a force in N that few ticks exceed. */
 function strongest(forces) {
   const sizes = [];
-  for (let i = 0; i + 2 < forces.values.length; i += 3) {
+  for (let i = 0; i + 2 < forces.rows * forces.width; i += 3) {
     const size = Math.hypot(forces.values[i], forces.values[i + 1], forces.values[i + 2]);
     if (size > 0) sizes.push(size);
   }

@@ -24,6 +24,11 @@ export class Trail {
     for (const line of [this.whole, this.done]) line?.material.color.set(theme.get("goal"));
   }
 
+  dispose() {
+    for (const line of [this.whole, this.done]) line?.geometry.dispose();
+    for (const line of [this.whole, this.done]) line?.material.dispose();
+  }
+
   show(row) {
     if (!this.done) return;
     let count = 0;

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """When the plant advances, waits, repeats, holds and ends: over DDS, with a test clock."""
 
+import time
 from collections.abc import Callable
 from types import SimpleNamespace
 from typing import Any
@@ -8,10 +9,12 @@ from typing import Any
 import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import WrenchStamped
+from rclpy.parameter import Parameter
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool
 from std_srvs.srv import SetBool, Trigger
-from support.nodes import Process, facts
+from support.nodes import Process, counts, facts
 
 from tactile_hand_ros import names
 from tactile_hand_ros.errors import DivergedError
@@ -285,3 +288,50 @@ def test_in_real_time_a_command_may_be_as_old_as_the_guard_allows(make):
     rig.until("holding", too_old_commands=1)
     rig.held_ticks()
     assert [message.data for message in rig.here.messages(names.JOINT_HOLD, 2)] == [False, True]
+
+
+def test_a_paused_plant_takes_single_steps(here: Process, make: Callable[..., Rig]) -> None:
+    rig = make(autostart=False)
+    assert here.call(Trigger, "plant/step").success
+    rig.answer(0, mode="paused")
+    assert rig.now == 1
+    assert here.call(Trigger, "plant/step").success
+    rig.answer(1, mode="paused")
+    assert rig.switch(True).success
+    refused = here.call(Trigger, "plant/step")
+    assert (refused.success, refused.message) == (False, "the plant is not paused")
+
+
+def test_a_speed_holds_the_next_tick_back_until_it_is_due(make: Callable[..., Rig]) -> None:
+    rig = make(speed=0.01)  # a tick in 200 ms
+    rig.answer(0)
+    before = time.monotonic()
+    rig.answer(1)
+    assert time.monotonic() - before > 0.05
+    rig.send(2)
+    rig.until("running", 2, answered_ns=2 * rig.node.config.tick)
+    rig.clock.now += 0.5  # an answered tick is not sent again
+    rig.until("running", 3)
+    rig.send(3)
+    rig.node.set_parameters([Parameter("speed", value=0.0)])
+    for tick in range(4, 20):
+        rig.until("running", tick)
+        rig.send(tick)
+    assert time.monotonic() - before < 16 * 0.2
+    assert facts(rig.node)["resent_ticks"] == "0"
+
+
+def test_pushes_arrive_and_those_of_another_frame_are_rejected(
+    here: Process, make: Callable[..., Rig]
+) -> None:
+    rig = make()
+    push = WrenchStamped()
+    push.wrench.force.z = 2.0
+    here.send(names.PUSH, push)
+    here.wait(lambda: counts(rig.node, "rejected") == {"push": 1}, "the rejection")
+    push.header.frame_id = "palm"
+    push.wrench.torque.x = 0.5
+    here.send(names.PUSH, push)
+    plant = rig.node._run.plant
+    here.wait(lambda: plant._push.tolist() == [0.0, 0.0, 2.0, 0.5, 0.0, 0.0], "the push")
+    assert plant._push_end == pytest.approx(0.2 + plant.time)

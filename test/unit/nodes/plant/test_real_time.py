@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tactile_hand_ros.nodes.plant.real_time import Pace
+from tactile_hand_ros.nodes.plant.real_time import _MOST_BEHIND_NS, Brake, Pace
 
 TICK = 1_000_000
 
@@ -107,3 +107,20 @@ def test_a_command_is_late_once_the_next_tick_is_due():
     made.answered()
     made.due()
     assert made.late == 1  # no command was expected while time stood still
+
+
+def test_a_brake_permits_ticks_at_its_speed_and_makes_up_for_a_slow_one():
+    hands = Hands()
+    brake = Brake(TICK, hands)
+    assert [brake.permits() for _ in range(5)] == [True] * 5
+    brake.set(0.5)
+    assert brake.period == 2 * TICK
+
+    def permitted(clock):
+        hands.now += clock
+        return sum(brake.permits() for _ in range(500))
+
+    assert permitted(0) == 1
+    assert [permitted(TICK) for _ in range(6)].count(1) == 3
+    assert permitted(20 * TICK) in (10, 11)
+    assert permitted(10**12) <= 1 + _MOST_BEHIND_NS // brake.period

@@ -1,0 +1,77 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`tactile-hand live`: run a hand and steer it from a page."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from tactile_hand_ros.command_line import Signals, open_in_browser
+from tactile_hand_ros.command_options import with_options
+from tactile_hand_ros.orchestrator.options import RunOptions
+
+_SCENARIO = "gravity"
+
+
+@dataclass(frozen=True)
+class LiveOptions(RunOptions):
+    """The options of a run, and those of its page."""
+
+    port: Annotated[
+        int, typer.Option(help="Port of the page; 0 for any free one.", min=0, max=65535)
+    ] = 0
+    browser: Annotated[bool, typer.Option(help="Open the page in a browser.")] = True
+    bag: Annotated[
+        Path | None, typer.Option(help="Show this finished run instead; starts nothing.")
+    ] = None
+
+
+@with_options
+def live(options: LiveOptions) -> None:
+    """Run a scenario, watch it in a page, steer it, pull at the object, break it.
+
+    Prints the link of the page and opens it. The nodes share one process, in lockstep at the speed
+    of real time; --processes and --pacing realtime change that. The scenario is 'gravity' by
+    default. The run lasts until Ctrl-C; then it is judged like
+    any other. Exit codes are those of `run`.
+    """
+    if options.bag is not None:
+        _show(options.bag, options.browser)
+        return
+    from tactile_hand_ros.orchestrator.cockpit import cockpit
+    from tactile_hand_ros.orchestrator.command import start
+
+    # In lockstep a busy computer slows time down, but never the hand's answers.
+    changes = [*options.changes]
+    if options.pacing != "realtime" and not any(c.startswith("plant.speed") for c in changes):
+        changes.append("plant.speed=1")
+    own = dataclasses.replace(
+        options,
+        scenario=options.scenario or (None if options.named else _SCENARIO),
+        interactive=True,
+        composed=options.composed is not False,
+        changes=changes,
+    )
+    beside = functools.partial(cockpit, port=options.port, browser=options.browser)
+    signals = Signals()
+    signals.install()
+    raise typer.Exit(start(own, signals, [], "tactile-hand live", beside))
+
+
+def _show(bag: Path, browser: bool) -> None:
+    """Write the report of a finished run, the same page without a hand, and open it."""
+    from tactile_hand_ros.report.page import write_report
+    from tactile_hand_ros.run.run import Run
+
+    file = write_report(Run(bag))
+    print(file)
+    if browser:
+        open_in_browser(file.resolve().as_uri())
+
+
+COMMANDS = (live,)

@@ -1,0 +1,290 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The cockpit in a real browser, next to a real hand: watch, pull, steer, break, reconnect."""
+
+from __future__ import annotations
+
+import re
+import urllib.error
+import urllib.request
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from selenium.webdriver.common.action_chains import ActionChains
+from selenium.webdriver.common.by import By
+from support.browser import Page, browser
+from support.graph import Graph
+
+from bench.processes import CapturedProcess, isolated_domain, start_executable
+from tactile_hand_ros.cockpit.config import LINK
+from tactile_hand_ros.scenario.scenario import load_scenario
+
+# Lockstep, so that a slow browser on a busy computer slows time down but not the hand.
+SCENARIO = load_scenario(
+    "gravity", {"duration": 3600.0, "plant.speed": 1.0, "plant.object.friction": 0.4}
+)
+
+
+@contextmanager
+def cockpit(**parameters: object) -> Iterator[tuple[CapturedProcess, str]]:
+    """Start a cockpit; provide its process and its link."""
+    words = [word for name, value in parameters.items() for word in ("-p", f"{name}:={value}")]
+    with start_executable("cockpit", "--ros-args", *words) as process:
+        process.wait_for_output(LINK, 60.0)
+        yield process, re.search(f"{LINK}(\\S+)", process.stdout)[1]  # type: ignore[index]
+
+
+@pytest.fixture(scope="module")
+def hand(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Graph, str]]:
+    """Return a hand that holds a cube of low friction, and the link of its page."""
+    folder = tmp_path_factory.mktemp("parameters")
+    with (
+        isolated_domain() as domain,
+        cockpit() as (_, link),
+        Graph(SCENARIO, domain, folder, composed=True) as graph,
+    ):
+        yield graph, link
+
+
+@pytest.fixture(scope="module")
+def opened(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Page]:
+    with browser(tmp_path_factory.mktemp("profile") / "new") as page:
+        yield page
+
+
+@pytest.fixture
+def page(hand: tuple[Graph, str], opened: Page) -> Iterator[Page]:
+    """Return the page of the hand, which drives it, after a reset."""
+    opened.open(hand[1], size=(1200, 800))
+    opened.wait(lambda: opened.js("return report.source.drives"))
+    ask(opened, {"do": "reset"})
+    ask(opened, {"do": "enable"})
+    opened.wait(lambda: 0.2 < row(opened, "time")[0] < 20.0)
+    yield opened
+    assert opened.errors == []
+    opened.driver.get("about:blank")  # an old tab must not keep driving
+
+
+def ask(page: Page, command: dict[str, Any]) -> Any:
+    """Send a command and return the answer."""
+    code = "report.source.ask(arguments[0]).then(arguments[1])"
+    page.driver.set_script_timeout(60)
+    return page.driver.execute_async_script(code, command)
+
+
+def row(page: Page, column: str) -> list[float]:
+    """Return the newest row of a column; NaN is None in JSON."""
+    code = """const {columns} = report.source.run, {values, width} = columns[arguments[0]];
+        return [...values.subarray((columns.time.rows - 1) * width, columns.time.rows * width)]"""
+    return [np.nan if v is None else v for v in page.js(code, column)]
+
+
+def screen(page: Page, point: str) -> tuple[int, int]:
+    """Return where a point in the scene, an expression, is in the window."""
+    code = f"""const {{scene}} = report, p = ({point}).clone().project(scene.view.camera);
+        const r = scene.renderer.domElement.getBoundingClientRect();
+        return [r.left + (p.x + 1) / 2 * r.width, r.top + (1 - p.y) / 2 * r.height]"""
+    x, y = page.js(code)
+    return round(x), round(y)
+
+
+def drag(page: Page, *places: tuple[int, int], hold: bool = False) -> None:
+    """Press the mouse at the first place, move over the others, and let go unless `hold`."""
+    actions = ActionChains(page.driver, duration=100)
+    pointer = actions.w3c_actions.pointer_action
+    pointer.move_to_location(*places[0])
+    pointer.pause(0.2)
+    pointer.pointer_down()
+    for place in places[1:]:
+        pointer.move_to_location(*place)
+    if not hold:
+        pointer.pause(0.2)
+        pointer.pointer_up()
+    actions.perform()
+
+
+def let_go(page: Page) -> None:
+    actions = ActionChains(page.driver)
+    actions.w3c_actions.pointer_action.pointer_up()
+    actions.perform()
+
+
+CENTER = "scene.solid.group.position"
+
+
+def test_it_shows_the_running_hand(page: Page, hand: tuple[Graph, str]) -> None:
+    graph, link = hand
+    assert page.js("return report.scene.colours()") > 300
+    assert page.js("return report.charts.length") == 5
+    assert row(page, "object_position") == pytest.approx(graph.position(), abs=1e-3)
+    before = row(page, "time")
+    page.wait(lambda: row(page, "time") > before)
+    own = link.split("?")[0]
+    foreign = [u for u in page.requests if not u.startswith((own, "data:", "blob:", "chrome"))]
+    assert foreign in ([], ["about:blank"])
+    assert len(urllib.request.urlopen(link).read()) < 1_500_000
+
+
+def test_a_pull_slips_and_is_caught(page: Page, hand: tuple[Graph, str]) -> None:
+    graph, _ = hand
+    force = row(page, "grasp_force")[0]
+    x, y = screen(page, CENTER)
+    drag(page, (x, y), (x - 10, y + 60), (x - 20, y + 110), hold=True)
+    page.wait(lambda: np.linalg.norm(row(page, "push")[:3]) > 2.0)
+    assert re.fullmatch(r"\d+\.\d N", page.driver.find_element(By.CLASS_NAME, "force").text)
+    page.wait(lambda: page.js("return 'detection' in report.source.status.response"))
+    let_go(page)
+    page.wait(lambda: page.js("return 'stuck' in report.source.status.response"))
+    response = page.js("return report.source.status.response")
+    assert 0.0 <= response["detection"] <= 100.0
+    # The load alone may have raised k_f to its limit before the slip.
+    assert 0.0 <= response.get("reaction", 0.0) <= 100.0
+    assert row(page, "grasp_force")[0] > force
+    assert page.driver.find_element(By.CSS_SELECTOR, ".response .step b").text != "\u2013"
+    page.wait(lambda: np.allclose(row(page, "push"), 0.0))
+    assert np.isfinite(graph.contacts).all(), "the object was dropped"
+
+
+def test_a_push_of_a_dead_tab_ends(page: Page) -> None:
+    wrench = [0.0, 0.0, -1.0, 0.0, 0.0, 0.0]
+    assert ask(page, {"do": "push", "wrench": wrench})["ok"]
+    page.wait(lambda: row(page, "push")[2] == -1.0)
+    page.wait(lambda: row(page, "push")[2] == 0.0)
+
+
+def test_handles_move_the_goal_and_snap_back_from_out_of_reach(page: Page) -> None:
+    page.driver.find_element(By.CSS_SELECTOR, "[data-goal=move]").click()
+    goal = "return report.handles.proxy.position.toArray()"
+    before = page.wait(lambda: (p := page.js(goal)) and any(p) and p)
+    page.js("report.scene.draw()")
+    size = "report.handles.helper.children[0].gizmo.translate.children"
+    tip = f"""(() => {{ const arrow = {size}.find((part) => part.name === 'Z');
+        arrow.geometry.computeBoundingSphere();
+        return arrow.localToWorld(arrow.geometry.boundingSphere.center.clone()) }})()"""
+    x, y = screen(page, tip)
+    drag(page, (x, y), (x, y - 4), (x, y - 8))
+    page.wait(lambda: row(page, "desired_position")[2] > before[2] + 1e-3)
+    page.wait(lambda: page.js(goal) == pytest.approx(row(page, "desired_position"), abs=1e-5))
+    accepted = row(page, "desired_position")
+    assert accepted[:2] == pytest.approx(before[:2], abs=1e-3)
+    far = {"do": "pose", "position": [0.0, 0.0, 5.0], "quaternion": None}
+    assert ask(page, far)["ok"]
+    page.wait(lambda: "rejected" in page.driver.find_element(By.CLASS_NAME, "toast").text)
+    assert row(page, "desired_position") == pytest.approx(accepted, abs=1e-6)
+    page.wait(lambda: page.js(goal) == pytest.approx(accepted, abs=1e-4))
+
+
+def test_two_tabs_watch_and_one_drives(page: Page, hand: tuple[Graph, str], tmp_path: Path) -> None:
+    with browser(tmp_path / "other") as other:
+        other.open(hand[1], size=(390, 844), dark=True)
+        assert other.js("return report.source.run.columns.time.rows") > 0
+        assert other.js("return document.documentElement.scrollWidth <= innerWidth")
+        refused = ask(other, {"do": "pause"})
+        assert not refused["ok"] and "another tab has control" in refused["text"]
+        other.driver.find_element(By.CLASS_NAME, "lease").click()
+        other.wait(lambda: other.js("return report.source.drives"))
+        page.wait(lambda: not page.js("return report.source.drives"))
+        assert not ask(page, {"do": "pause"})["ok"]
+        assert ask(other, {"do": "pause"})["ok"] and ask(other, {"do": "run"})["ok"]
+        assert other.errors == []
+    assert ask(page, {"do": "drive"})["ok"]
+
+
+def test_a_suspended_tab_gets_the_present_when_it_wakes_up(
+    page: Page, hand: tuple[Graph, str]
+) -> None:
+    """It asks for nothing meanwhile, so nothing waits for it."""
+    page.js("window.frozen = report.source.ready; report.source.ready = () => {}")
+
+    def stands() -> float:
+        """Return the time of the picture if it is the same while the hand goes on."""
+        shown = row(page, "time")[0]
+        later = hand[0].time + 0.5
+        page.wait(lambda: hand[0].time > later)
+        assert ask(page, {"do": "mark", "text": "still here"})["ok"]
+        return shown if row(page, "time")[0] == shown else 0.0
+
+    still = page.wait(stands)  # once the picture that was on its way has come
+    assert stands() == still
+    page.js("report.source.ready = window.frozen; report.source.ready()")
+    page.wait(lambda: row(page, "time")[0] > still + 1.0)
+
+
+def test_parameters_are_forms_and_a_wrong_value_is_refused(page: Page) -> None:
+    plant = page.driver.find_element(By.CSS_SELECTOR, ".parameters details")
+    page.js("arguments[0].open = true", plant)
+    field = page.wait(lambda: page.driver.find_elements(By.ID, "plant-object.friction"))[0]
+    page.js("arguments[0].value = '-1'; arguments[0].dispatchEvent(new Event('change'))", field)
+    page.wait(lambda: page.driver.find_element(By.CLASS_NAME, "toast").text)
+    page.wait(lambda: field.get_attribute("value") == "0.4")
+    assert ask(page, {"do": "set", "node": "plant", "name": "object.mass", "value": 0.21})["ok"]
+    wrong = ask(page, {"do": "set", "node": "plant", "name": "hand", "value": "other"})
+    assert not wrong["ok"]
+
+
+@pytest.mark.parametrize(
+    ("change", "headers"),
+    [
+        (lambda link: link.split("?")[0], {}),
+        (lambda link: link + "x", {}),
+        (lambda link: link, {"Origin": "http://127.0.0.1:1"}),
+        (lambda link: link, {"Host": "example.org"}),
+        (lambda link: link.replace("/?", "/socket?"), {}),  # a browser always says its origin
+    ],
+)
+def test_strangers_are_refused(
+    hand: tuple[Graph, str], change: Callable[[str], str], headers: dict[str, str]
+) -> None:
+    with pytest.raises(urllib.error.HTTPError) as refused:
+        urllib.request.urlopen(urllib.request.Request(change(hand[1]), headers=headers))
+    assert refused.value.code == 403
+    assert refused.value.read().decode().endswith(".")
+
+
+def test_the_page_follows_a_graph_that_restarts(page: Page, hand: tuple[Graph, str]) -> None:
+    graph, _ = hand
+    page.js("report.source.run.columns.time.values[0] = -1")  # gone once the arrays start anew
+    graph.kill("composed")
+    page.wait(lambda: "silent" in page.js("return report.state.textContent"))
+    graph.start_composed()
+    page.wait(lambda: page.js("return report.source.run.columns.time.values[0]") >= 0.0)
+    page.wait(lambda: page.js("return report.source.run.columns.time.rows") > 0)
+    page.wait(lambda: page.js("return report.state.textContent") == "running")
+
+
+def test_a_page_of_an_earlier_cockpit_connects_again_only_with_the_new_link(
+    hand: tuple[Graph, str], tmp_path: Path
+) -> None:
+    with browser(tmp_path / "profile") as page:
+        with cockpit() as (_, link):
+            page.open(link)
+        page.wait(lambda: "no connection" in page.js("return report.state.textContent"))
+        assert not ask(page, {"do": "run"})["ok"]
+        port = re.search(r":(\d+)/", link)[1]  # type: ignore[index]
+        with cockpit(port=port) as (_, new):
+            page.wait(lambda: "Another cockpit" in page.js("return report.state.textContent"))
+            page.open(new)
+            page.wait(lambda: page.js("return report.source.drives"))
+
+
+def test_a_stopped_node_leads_to_the_safe_state_and_back(tmp_path: Path) -> None:
+    """In a graph of processes, which a page can stop one by one; joints and touch come directly."""
+    with (
+        isolated_domain() as domain,
+        cockpit(drivers="true") as (_, link),
+        Graph(SCENARIO, domain, tmp_path),
+        browser(tmp_path / "profile") as page,
+    ):
+        page.open(link)
+        stop = "[aria-label='stop tactile_sensor']"
+        page.wait(lambda: page.js(f'return Boolean(document.querySelector("{stop}"))'))
+        assert np.isfinite(row(page, "force")).all() and np.isfinite(row(page, "theta")).all()
+        page.js(f'document.querySelector("{stop}").click()')
+        page.wait(lambda: page.js("return report.state.textContent") == "holding")
+        page.wait(lambda: page.driver.find_elements(By.CSS_SELECTOR, ".nodes .light.bad"))
+        page.js(f'document.querySelector("{stop.replace("stop", "continue")}").click()')
+        page.wait(lambda: page.js("return report.state.textContent") == "running")
+        assert page.errors == []

@@ -1,0 +1,107 @@
+// SPDX-License-Identifier: Apache-2.0
+// What stands beside the picture: health of the nodes, assumptions, the last slip, parameters.
+
+import { el } from "../dom.js";
+
+const LEVELS = ["good", "warned", "bad", "stale"];
+const WORDS = ["ok", "warning", "error", "silent"];
+const STEPS = [["detection", "detected"], ["reaction", "k_f rises"], ["stuck", "sticks again"]];
+const BREAKS = { A2: 0, A4: 0, A6: 0, A7: 1e-3 }; // margins at and below which an assumption is broken
+
+/** Make a panel with a title; `update` replaces its rows. */
+function panel(title, small, name) {
+  const body = el("div", { class: "rows" });
+  return { element: el("section", { class: `panel ${name}` }, el("h2", {}, title, el("small", {}, ` ${small}`)), body), body };
+}
+
+/** Make the list of nodes with their faults. */
+export function nodeList(source, act) {
+  const { element, body } = panel("Nodes", "health and rate", "nodes");
+  let shown = "";
+  const fault = (node, what) => el("button", { type: "button", class: "chip", "aria-label": `${what} ${node}`, onclick: () => act({ do: "fault", node, what }) }, what);
+  const row = (node) => {
+    const facts = [`${Number(node.rate_hz).toFixed(0)} Hz`, node.late_commands && `${node.late_commands} late`, node.latency_p99_us && `p99 ${(node.latency_p99_us / 1000).toFixed(1)} ms`, node.mode];
+    return el(
+      "div",
+      { class: "node" },
+      el("b", { class: `light ${LEVELS[node.level]}`, role: "img", "aria-label": WORDS[node.level] }),
+      el("span", {}, node.name.replaceAll("_", " "), el("small", {}, node.level ? node.message : facts.filter(Boolean).join(", "))),
+      el("span", { class: "chips" }, ...(node.alone ? ["stop", "continue", "stall"].map((what) => fault(node.name, what)) : [])),
+    );
+  };
+  const update = () => {
+    const { nodes } = source.status;
+    const key = JSON.stringify(nodes);
+    if (key === shown) return; // a button that is replaced cannot be pressed
+    shown = key;
+    const note = nodes.some((node) => node.alone) ? null : el("p", { class: "hint" }, "The nodes share one process. To stop a single one, start with --processes.");
+    body.replaceChildren(...nodes.map(row), ...[note].filter(Boolean));
+  };
+  return { element, update };
+}
+
+/** Make the list of assumptions with their margins now. */
+export function assumptions(source) {
+  const { element, body } = panel("Assumptions", "margins now", "margins");
+  const update = () => {
+    const rows = Object.entries(source.status.margins).map(([key, value]) => {
+      const [name, what] = key.split(" ");
+      const broken = name in BREAKS && Number(value) <= BREAKS[name];
+      const number = Number.isFinite(Number(value)) ? Number(value).toPrecision(3) : "unknown";
+      return el("div", { class: "margin" }, el("b", {}, name), el("span", {}, what.replaceAll("_", " ")), el("span", { class: broken ? "share broken" : "share" }, number));
+    });
+    body.replaceChildren(...rows);
+  };
+  return { element, update };
+}
+
+/** Make the course of the last slip, in ms from its start. */
+export function response(source) {
+  const { element, body } = panel("Last slip", "ms from its start", "response");
+  const update = () => {
+    const { at, finger, ...steps } = source.status.response;
+    if (at === undefined) {
+      body.replaceChildren(el("p", { class: "hint" }, "Nothing has slipped yet. Pull at the object, or wet it."));
+      return;
+    }
+    const longest = Math.max(1, ...Object.values(steps));
+    const rows = STEPS.map(([key, text]) => {
+      const known = key in steps;
+      return el("div", { class: "step" }, el("span", {}, text), el("i", { class: key, style: { width: known ? `${(100 * steps[key]) / longest}%` : "0" } }), el("b", {}, known ? `${steps[key].toFixed(0)}` : "\u2013"));
+    });
+    body.replaceChildren(el("p", { class: "hint" }, `${finger.replaceAll("_", " ")} at ${at.toFixed(3)} s`), ...rows);
+  };
+  return { element, update };
+}
+
+/** Make the forms of the live parameters of all nodes, each loaded when it is opened. */
+export function parameters(source, act) {
+  const { element, body } = panel("Parameters", "live ones, as declared", "parameters");
+  for (const node of source.run.nodes) {
+    const rows = el("div", { class: "rows" });
+    const opened = async (event) => {
+      if (!event.target.open) return;
+      const { ok, text } = await act({ do: "parameters", node });
+      if (ok) rows.replaceChildren(...JSON.parse(text).map((one) => field(node, one, act)));
+    };
+    body.append(el("details", { ontoggle: opened }, el("summary", {}, node.replaceAll("_", " ")), rows));
+  }
+  return { element, update: () => {} };
+}
+
+function field(node, { name, value, meaning, unit, choices, min, max }, act) {
+  const change = async () => {
+    const given = typeof value === "boolean" ? input.checked : typeof value === "number" ? Number(input.value) : input.value;
+    const { ok } = await act({ do: "set", node, name, value: given });
+    if (ok) value = given;
+    else put();
+  };
+  const id = `${node}-${name}`;
+  const kind = typeof value === "boolean" ? "checkbox" : typeof value === "number" ? "number" : "text";
+  const input = choices.length
+    ? el("select", { id, onchange: change }, ...choices.map((choice) => el("option", { value: choice }, choice)))
+    : el("input", { id, type: kind, step: "any", min: min ?? undefined, max: max ?? undefined, onchange: change });
+  const put = () => (kind === "checkbox" ? (input.checked = value) : (input.value = String(value)));
+  put();
+  return el("div", { class: "field" }, el("label", { for: id, title: meaning }, name, el("small", {}, meaning)), input, el("small", {}, unit));
+}
