@@ -166,20 +166,16 @@ def _messages(
 
 
 def iterate(
-    reader: AnyReader,
-    connections: Sequence[Connection],
-    *,
-    start: int | None = None,
-    stop: int | None = None,
+    reader: AnyReader, connections: Sequence[Connection]
 ) -> Iterator[tuple[Connection, int, bytes]]:
-    """Yield connection, log time and data of messages in [start, stop) ns, in order of log time.
+    """Yield connection, log time [ns] and data of messages in order of log time.
 
     Raises:
         BagError: If the bag is damaged.
     """
     if connections:  # with an empty list, rosbags yields all messages
         with _damage_refused(str(reader.paths[0])):
-            yield from reader.messages(connections, start=start, stop=stop)
+            yield from reader.messages(connections)
 
 
 @contextlib.contextmanager

@@ -33,7 +33,7 @@ from tactile_hand_ros.control.margins import SlipMonitor
 from tactile_hand_ros.control.slip.detector import ContactState
 from tactile_hand_ros.control.slip.regulator import SlipRegulator, SlipRegulatorConfig
 from tactile_hand_ros.errors import UnsafeOutputError
-from tactile_hand_ros.nodes.common import ModeLog
+from tactile_hand_ros.nodes.common import ModeLog, WrenchPublishers
 from tactile_hand_ros.nodes.user_changes import AppliedChanges
 from tactile_hand_ros.ros import qos, streams
 from tactile_hand_ros.ros.diagnostics import WARN, Diagnostics, Mostly
@@ -59,6 +59,11 @@ class GripState(NamedTuple):
     friction: NDArray[np.float64]
     evidence: NDArray[np.float64]
     grip: NDArray[np.int_]
+
+    @classmethod
+    def of(cls, regulator: SlipRegulator) -> GripState:
+        """Return the present estimates of a regulator."""
+        return cls(regulator.learned_friction, regulator.slip_likelihood, regulator.state)
 
 
 class RegulatorReport:
@@ -101,14 +106,8 @@ class RegulatorReport:
         put("mode", regulator.config.mode)
         put("grasp_force_n", regulator.grasp_force)
         put("needed_force_n", regulator.needed)
-        facts = zip(
-            self._fingers,
-            regulator.learned_friction,
-            regulator.state,
-            regulator.slip_likelihood,
-            strict=True,
-        )
-        for name, friction, grip, evidence in facts:
+        facts = zip(self._fingers, *GripState.of(regulator), strict=True)
+        for name, friction, evidence, grip in facts:
             put(f"friction {name}", float(friction))
             put(f"grip {name}", ContactState(grip).name.lower())
             put(f"slip_evidence {name}", float(evidence))
@@ -191,11 +190,7 @@ class SlipRegulatorNode(TactileNode[SlipRegulatorConfig]):
         self._grip_publisher = self.tick_publisher(JointState, names.GRIP_STATE, grips)
         margins = JointCodec(fingers, ("position", "effort")).encode
         self._margin_publisher = self.tick_publisher(JointState, names.GRIP_MARGIN, margins)
-        self._load_publishers = [
-            self.tick_publisher(WrenchStamped, names.load(finger), codec.encode)
-            for finger in fingers
-            for codec in [WrenchCodec(names.contact_frame(finger), nan_allowed=True)]
-        ]
+        self._load_publishers = WrenchPublishers(self, fingers, names.load, nan_allowed=True)
         self._encode = WrenchCodec(names.PALM_FRAME).encode
         self._publisher = self.tick_publisher(WrenchStamped, names.GRASP_FORCE, self._encode)
         self._haptic_publisher = self.create_publisher(
@@ -226,8 +221,7 @@ class SlipRegulatorNode(TactileNode[SlipRegulatorConfig]):
     def _rehearse(self, fingers: int) -> None:
         touch, regulator = example_touch(fingers), self._regulator
         regulator.step(0, *touch)
-        state = GripState(regulator.learned_friction, regulator.slip_likelihood, regulator.state)
-        self._report.note(regulator, 0, *touch, state)
+        self._report.note(regulator, 0, *touch, GripState.of(regulator))
         self.on_restart()
 
     def on_config(self, config: SlipRegulatorConfig) -> None:
@@ -284,14 +278,11 @@ class SlipRegulatorNode(TactileNode[SlipRegulatorConfig]):
         with self.answering():
             regulator = self._regulator
             grasp_force = self._checked(regulator.step(stamp, contacts, forces))
-            state = GripState(
-                regulator.learned_friction, regulator.slip_likelihood, regulator.state
-            )
+            state = GripState.of(regulator)
             self._grip_publisher.publish(stamp, *state)
             load, friction, reserve = regulator.carried
             self._margin_publisher.publish(stamp, friction, reserve)
-            for publisher, force in zip(self._load_publishers, load.tolist(), strict=True):
-                publisher.publish(force, stamp)
+            self._load_publishers.publish(stamp, load)
             self._publisher.publish((0.0, grasp_force, 0.0), stamp)
             self._changes.take_effect(stamp)
             self._report.note(regulator, stamp, contacts, forces, state)
@@ -323,8 +314,7 @@ class SlipRegulatorNode(TactileNode[SlipRegulatorConfig]):
         self._strongest = max(self._strongest, slip)
         if stamp // HAPTIC_PERIOD_NS != self._haptic_period:
             self._haptic_period = stamp // HAPTIC_PERIOD_NS
-            levels = (grip, self._strongest)
-            self._haptic_publisher.publish(feedback_message(levels))
+            self._haptic_publisher.publish(feedback_message((grip, self._strongest)))
             self._strongest = 0.0
 
 

@@ -70,23 +70,15 @@ class DirectTakeGroup(CallbackGroup):
         return False
 
 
-def _ignore(_: bytes) -> None:
-    """Do nothing: a placeholder callback."""
-
-
 def subscribe_directly(
-    node: Node,
-    kind: Any,
-    topic: str,
-    profile: QoSProfile,
-    **options: Any,
+    node: Node, kind: Any, topic: str, profile: QoSProfile, **options: Any
 ) -> Subscription:
     """Subscribe to serialized messages that are read only with `taken` or `take_latest`."""
     group = DirectTakeGroup()
     # No executor would take an event, so each event would wake it again and again.
     options.setdefault("event_callbacks", SubscriptionEventCallbacks(use_default_callbacks=False))
     return node.create_subscription(
-        kind, topic, _ignore, profile, callback_group=group, raw=True, **options
+        kind, topic, lambda _: None, profile, callback_group=group, raw=True, **options
     )
 
 

@@ -270,12 +270,7 @@ class TactileNode(Node, Generic[C]):
         # A copy, because rclpy writes QoS overrides into the given profile.
         own = copy.copy(profile) if profile is not None else qos.tick_qos()
         return self.create_subscription(
-            message_type,
-            topic,
-            callback,
-            own,
-            qos_overriding_options=options,
-            raw=raw,
+            message_type, topic, callback, own, qos_overriding_options=options, raw=raw
         )
 
     def create_subscription(

@@ -167,13 +167,10 @@ def _stop(nodes: Sequence[Node], code: int) -> int:
     _ignore_signals()
     for node in reversed(nodes):
         try:
-            getattr(node, "close", _nothing)()
+            if hasattr(node, "close"):
+                node.close()
         except Exception as error:
             code = max(code, _code_of(error, EXIT_FAILED))
         node.destroy_node()
     rclpy.try_shutdown()
     return code
-
-
-def _nothing() -> None:
-    """Do nothing: a placeholder for a missing method."""

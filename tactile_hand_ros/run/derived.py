@@ -89,14 +89,8 @@ def rotation_error(record: Record) -> Array:
     turn = rotation_from_quaternion(desired) @ np.swapaxes(
         rotation_from_quaternion(record.auxiliary_quaternion), 1, 2
     )
-    return np.stack(
-        [
-            turn[:, 2, 1] - turn[:, 1, 2],
-            turn[:, 0, 2] - turn[:, 2, 0],
-            turn[:, 1, 0] - turn[:, 0, 1],
-        ],
-        axis=1,
-    )
+    skew = turn - np.swapaxes(turn, 1, 2)
+    return np.asarray(skew[:, (2, 0, 1), (1, 2, 0)])
 
 
 def pose_errors(record: Record, dropped: float) -> tuple[Array, Array]:

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import math
-import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
@@ -240,9 +239,7 @@ def _settling(record: Record, inside: NDArray[np.bool_]) -> float:
 
 def _peak(values: Array) -> float:
     """Return the largest known value, NaN if there is none."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", RuntimeWarning)  # NumPy warns if all are NaN
-        return float(np.nanmax(values)) if values.size else math.nan
+    return float(np.fmax.reduce(values, axis=None, initial=math.nan))
 
 
 def _relative(value: Array, expected: Array) -> Array:

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import math
-import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -51,9 +50,9 @@ def friction_margin(record: Record, scenario: Scenario, metrics: Metrics) -> flo
     touching = np.isfinite(record.true_positions[:, :, 0])
     touching &= (record.times >= START_S)[:, None]
     beta = np.where(touching, required_friction(record.true_forces), np.nan)
-    with warnings.catch_warnings(), np.errstate(divide="ignore", invalid="ignore"):
-        warnings.simplefilter("ignore", RuntimeWarning)  # without any contact
-        minimum = float(np.nanmin(1.0 - beta / friction[:, None]))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        margins = 1.0 - beta / friction[:, None]
+    minimum = float(np.fmin.reduce(margins, axis=None, initial=math.nan))
     return minimum if math.isfinite(minimum) else math.nan
 
 

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -105,23 +105,19 @@ def read_inputs(run: Run, scenario: Scenario, of_scenario: Collection[str] = ())
 
 
 def _poses(run: Run) -> list[Change]:
-    stamps, poses = _numbers(run, names.ACCEPTED_POSE, "pose", 7)
-    return [
-        Change(stamp, names.DESIRED_POSE, Target.of(pose[:3], pose[3:]))
-        for stamp, pose in zip(stamps, poses, strict=True)
-    ]
+    poses = _numbers(run, names.ACCEPTED_POSE, "pose", 7)
+    return [Change(at, names.DESIRED_POSE, Target.of(pose[:3], pose[3:])) for at, pose in poses]
 
 
 def _forces(run: Run) -> list[Change]:
-    stamps, wrenches = _numbers(run, names.ACCEPTED_FORCE, "wrench", 6)
-    forces = wrenches[:, 1].tolist()
-    return [Change(stamp, names.GRASP_FORCE, f) for stamp, f in zip(stamps, forces, strict=True)]
+    wrenches = _numbers(run, names.ACCEPTED_FORCE, "wrench", 6)
+    return [Change(at, names.GRASP_FORCE, float(wrench[1])) for at, wrench in wrenches]
 
 
-def _numbers(run: Run, topic: str, name: str, count: int) -> tuple[list[int], Array]:
-    """Return the ticks [ns] and numbers of a topic's messages."""
+def _numbers(run: Run, topic: str, name: str, count: int) -> Iterator[tuple[int, Array]]:
+    """Yield the tick [ns] and the numbers of each message of a topic."""
     series = run.series[run.topics.full(topic)]
-    return series.stamps.tolist(), series.rows(name, count)
+    return zip(series.stamps.tolist(), series.rows(name, count), strict=True)
 
 
 def _configurations(
