@@ -160,8 +160,5 @@ def choices_of(annotation: Any) -> list[str]:
 
 def bound_of(field: FieldInfo, name: str) -> Any:
     """Return a constraint (``ge``, ``gt``, ``le``, ``lt``, ...) of a field, None if not set."""
-    for item in field.metadata:
-        bound = getattr(item, name, None)
-        if bound is not None:
-            return bound
-    return None
+    bounds = (getattr(item, name, None) for item in field.metadata)
+    return next((bound for bound in bounds if bound is not None), None)

@@ -50,11 +50,7 @@ class Config(BaseModel):
     """Base of all configuration models: immutable, no unknown keys, finite numbers only."""
 
     model_config = ConfigDict(
-        frozen=True,
-        extra="forbid",
-        allow_inf_nan=False,
-        validate_default=True,
-        use_enum_values=False,
+        frozen=True, extra="forbid", allow_inf_nan=False, validate_default=True
     )
 
     @field_validator("*", mode="before")

@@ -106,17 +106,19 @@ def _not_yaml(source: str, place: str, problem: str) -> ConfigurationError:
     return ConfigurationError(message, source=source, place=place)
 
 
-def parse_changes(changes: Sequence[str], example: str = "plant.rate=250") -> dict[str, Any]:
+def parse_changes(changes: Sequence[str]) -> dict[str, Any]:
     """Read ``key=value`` texts of a command line; values are YAML.
 
     Raises:
-        ConfigurationError: If key or value is missing, or the value is not YAML; shows `example`.
+        ConfigurationError: If key or value is missing, or the value is not YAML.
     """
     found: dict[str, Any] = {}
     for change in changes:
         key, _, value = change.partition("=")
         if not key or not value.strip():
-            raise ConfigurationError(f"--set got '{change}', expected key=value such as {example}")
+            raise ConfigurationError(
+                f"--set got '{change}', expected key=value such as plant.rate=250"
+            )
         found[key] = parse_yaml(value, f"--set {key}")
     return found
 

@@ -135,7 +135,7 @@ class ViewerNode(TactileNode[ViewerConfig]):
             goal = self._pose(names.ACCEPTED_POSE, "goal")
             made = [_marker("all", 0, Marker.DELETEALL)]
             if where is not None and len(self._corners):
-                made.append(_placed(_triangles("object", 0, self._corners, _OBJECT), where))
+                made.append(_placed(_body(self._corners), where))
             made += contact_markers(contacts, self._forces())
             if goal is not None:
                 made.append(_placed(_axes(), goal))
@@ -203,8 +203,8 @@ def contact_markers(contacts: Sequence[Frame | None], forces: Array) -> list[Mar
     return made
 
 
-def _triangles(namespace: str, number: int, corners: Sequence[Array], color: Color) -> Marker:
-    marker = _marker(namespace, number, Marker.ADD, Marker.TRIANGLE_LIST, color)
+def _body(corners: Sequence[Array]) -> Marker:
+    marker = _marker("object", 0, Marker.ADD, Marker.TRIANGLE_LIST)
     marker.points = _points(corners)
     marker.scale.x = marker.scale.y = marker.scale.z = 1.0
     return marker

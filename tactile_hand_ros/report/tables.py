@@ -48,12 +48,10 @@ def _held_rows(m: Metrics) -> list[list[str]]:
 
 
 def _contact_rows(m: Metrics) -> list[list[str]]:
+    final, largest = m.final_required_friction, m.max_required_friction
     rows = [
-        [
-            f"beta of {name}, final / largest",
-            f"{number(beta)} / {number(m.max_required_friction[name])}",
-        ]
-        for name, beta in m.final_required_friction.items()
+        [f"beta of {name}, final / largest", f"{number(beta)} / {number(largest[name])}"]
+        for name, beta in final.items()
     ]
     lost = "" if math.isnan(m.first_contact_loss_s) else f", first at {m.first_contact_loss_s:g} s"
     rows.append(["ticks without a contact", f"{m.contacts_lost_ticks}{lost}"])
@@ -96,20 +94,12 @@ def _held(a: Assumption) -> str:
 def bag_rows(b: BagMetrics) -> list[list[str]]:
     """Return completeness and timing of a bag as text: name and value."""
     short = {t: c for t, c in b.topics.items() if c.complete is False}
+    latencies = b.command_latency_median_s, b.command_latency_p99_s, b.command_latency_max_s
+    listed = " / ".join(number(1e3 * value, "ms") for value in latencies)
     rows = [
         ["messages", str(b.messages)],
         ["speed", number(b.ticks_per_second, "ticks/s")],
-        [
-            "command latency, median / p99 / longest",
-            " / ".join(
-                number(1e3 * value, "ms")
-                for value in (
-                    b.command_latency_median_s,
-                    b.command_latency_p99_s,
-                    b.command_latency_max_s,
-                )
-            ),
-        ],
+        ["command latency, median / p99 / longest", listed],
         ["ticks sent again", str(b.repeated_ticks)],
         ["recording", "complete" if b.complete else "incomplete"],
     ]

@@ -13,12 +13,8 @@ from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 
 from tactile_hand_ros.errors import counted
 
-OK, WARN, ERROR, STALE = (
-    DiagnosticStatus.OK,
-    DiagnosticStatus.WARN,
-    DiagnosticStatus.ERROR,
-    DiagnosticStatus.STALE,
-)
+OK, WARN = DiagnosticStatus.OK, DiagnosticStatus.WARN
+ERROR, STALE = DiagnosticStatus.ERROR, DiagnosticStatus.STALE
 
 WARN_SECONDS = 5.0
 """How long a rejected message keeps the level at WARN and an error keeps it at ERROR [s]."""
@@ -141,10 +137,8 @@ class Diagnostics:
         if not count:
             return {}
         marks = np.percentile(self._latencies[:count], (50, 99, 100), method="nearest")
-        names = ("p50", "p99", "max")
-        return {
-            f"latency_{n}_us": f"{1e6 * mark:.0f}" for n, mark in zip(names, marks, strict=True)
-        }
+        named = zip(("p50", "p99", "max"), marks, strict=True)
+        return {f"latency_{name}_us": f"{1e6 * mark:.0f}" for name, mark in named}
 
 
 def _latest(entries: dict[str, _Notes], now: float) -> list[tuple[str, _Notes]]:

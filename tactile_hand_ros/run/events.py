@@ -118,20 +118,14 @@ def events(
 
 def asked_events(requests: Sequence[Asked], refusals: Sequence[Asked]) -> list[Event]:
     """Return the events of service calls and of rejected commands."""
-    calls = [
-        Event(
-            1e-9 * each.stamp,
-            "request",
-            "",
-            f"a user calls {each.key}" + (f" ({each.value})" if each.value else ""),
-        )
-        for each in requests
-        if each.stamp or each.key != "enable"  # reported at the first tick, without a call
-    ]
-    return calls + [
-        Event(1e-9 * each.stamp, "refusal", "", f"{each.key} is rejected: {each.value}")
-        for each in refusals
-    ]
+    found: list[Event] = []
+    for stamp, key, value in requests:
+        text = f"a user calls {key}" + (f" ({value})" if value else "")
+        if stamp or key != "enable":  # reported at the first tick, without a call
+            found.append(Event(1e-9 * stamp, "request", "", text))
+    for stamp, key, reason in refusals:
+        found.append(Event(1e-9 * stamp, "refusal", "", f"{key} is rejected: {reason}"))
+    return found
 
 
 def read_pushes(messages: TopicMessages) -> list[Event]:

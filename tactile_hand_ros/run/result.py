@@ -137,9 +137,8 @@ class RunData:
         pandas = optional("pandas", "The export to pandas")
         table = pandas.DataFrame(columns(self.record), index=self.record.times)
         table.index.name = "time_s"
-        table.attrs["meaning"] = {
-            f.name: f.metadata["meaning"] for f in fields(Record) if f.metadata
-        }
+        arrays = (f for f in fields(Record) if f.metadata)
+        table.attrs["meaning"] = {f.name: f.metadata["meaning"] for f in arrays}
         return table
 
 
