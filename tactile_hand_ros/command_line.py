@@ -47,7 +47,7 @@ def run_command(program: str, command: Callable[[], Any]) -> int:
         _drop_unwritten()
         return 0
     except (KeyboardInterrupt, _Signalled) as end:
-        number = getattr(end, "number", signal.SIGINT)
+        number = end.args[0] if isinstance(end, _Signalled) else signal.SIGINT
         _drop_unwritten()  # the terminal may be gone
         say(program, "interrupted." if number == signal.SIGINT else f"ended by {number.name}.")
         return 128 + int(number)
@@ -62,11 +62,6 @@ def run_command(program: str, command: Callable[[], Any]) -> int:
 
 class _Signalled(BaseException):
     """Raised by a signal: Typer would turn a KeyboardInterrupt into a silent exit code."""
-
-    def __init__(self, number: signal.Signals) -> None:
-        """Store the signal."""
-        super().__init__(number)
-        self.number = number
 
 
 @contextlib.contextmanager

@@ -146,7 +146,6 @@ class _Copy:
         self._channels[channel.id] = self._numbers[key]
 
     def close(self) -> BagMetadata:
-        """Finish the new bag."""
         self._writer.custom_data["recovered_bytes_left"] = str(self.left)
         return self._writer.close()
 

@@ -103,7 +103,6 @@ def replay(
 
 
 def _recompute(bag: Path, namespace: str, law: str) -> None:
-    """Recompute the controllers' answers and compare them with those in the bag."""
     from tactile_hand_ros.run.run import Run
     from tactile_hand_ros.verify import recompute as r
 

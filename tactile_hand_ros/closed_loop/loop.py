@@ -236,7 +236,6 @@ class ClosedLoop:
         return answer.command
 
     def _write(self, record: Record, row: int, answer: Answer) -> None:
-        """Write the blocks' answer to a tick and the friction estimates."""
         command, target = answer.command, self.controller.targets.accepted
         record.grasp_force[row] = answer.grasp_force
         record.optimal_forces[row] = answer.optimal.forces

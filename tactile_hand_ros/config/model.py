@@ -70,7 +70,6 @@ class Config(BaseModel):
     @field_validator("*")
     @classmethod
     def _refuse_degrees(cls, value: Any, info: ValidationInfo) -> Any:
-        """Reject angles that are obviously in degrees."""
         if unit_of(cls.model_fields[str(info.field_name)]) == "rad" and value is not None:
             _check_radians(value if isinstance(value, SEQUENCES) else [value])
         return value

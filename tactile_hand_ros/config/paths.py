@@ -39,7 +39,6 @@ def scenario_names() -> list[str]:
 
 
 def _candidates() -> Iterator[Path]:
-    """Yield the candidates, best first."""
     tree = Path(__file__).resolve().parents[2]
     # An unrelated config/ may lie next to an installed package: package.xml marks our own tree.
     if (tree / "package.xml").is_file():

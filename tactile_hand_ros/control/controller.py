@@ -258,7 +258,6 @@ class Controller:
         self._required: tuple[float, float] | None = None
 
     def _accept_inputs(self) -> None:
-        """Treat the inputs as plausible."""
         self.touch_rejected = False
         self._implausible_since: int | None = None  # tick of the first implausible input
 
@@ -668,7 +667,6 @@ class Controller:
         return True
 
     def _enough(self, contacts: Contacts) -> bool:
-        """Return whether enough fingers touch for the law."""
         if self.config.law.name == "optimal":
             return contacts.enough_touching
         return contacts.all_touching

@@ -129,9 +129,8 @@ class View:
         facts = f"{monitor.in_words()}  {self._speed(at):.2f} x real time"
         fault = next(iter(monitor.faults()), "")
         if fault and fault != self._fault:
-            self._console.print(
-                f"t = {at:.2f} s  ! {fault}", soft_wrap=True
-            )  # in full, above the bar
+            # In full, above the bar.
+            self._console.print(f"t = {at:.2f} s  ! {fault}", soft_wrap=True)
         self._fault = fault
         if self.bar.disable:
             of = f" of {self._of}" if self._of else ""

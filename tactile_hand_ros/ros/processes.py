@@ -73,7 +73,6 @@ def child_environment() -> dict[str, str]:
 
 
 def _runs(path: Path) -> bool:
-    """Return whether a path is an executable file."""
     return path.is_file() and os.access(path, os.X_OK)
 
 

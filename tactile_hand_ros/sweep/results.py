@@ -118,7 +118,6 @@ def write_summary(results: Results, folder: Path) -> Path:
 
 
 def _texts(values: Sequence[float], text: Callable[[float], str]) -> tuple[str, str]:
-    """Return a value and its interval as text."""
     if math.isnan(values[0]):
         return "unknown", ""
     return text(values[0]), f"{text(values[1])} to {text(values[2])}"

@@ -36,7 +36,6 @@ class RecorderConfig(Config):
     @field_validator("topics", "exclude")
     @classmethod
     def _compile(cls, patterns: list[str]) -> list[str]:
-        """Reject invalid regular expressions."""
         try:
             TopicSelection(patterns)
         except ConfigurationError as error:

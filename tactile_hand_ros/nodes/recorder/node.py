@@ -192,7 +192,6 @@ class RecorderNode(TactileNode[RecorderConfig]):
         publisher.add_tap(note)
 
     def _discover(self) -> None:
-        """Search for new topics and changed publishers."""
         for name, types in self.get_topic_names_and_types():
             topic = self._topics.get(name)
             if topic is None:

@@ -163,7 +163,6 @@ class WriterProcess:
             self._messages.clear()
 
     def _error(self, reply: bytes = b"") -> BagError:
-        """Return the error with which the process has ended."""
         self.is_open = False
         text = (reply + self._replies.read()).removeprefix(_OPEN).decode()
         return BagError(
