@@ -6,11 +6,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
-from tactile_hand_ros.compiled import compiled
-
-Array = NDArray[np.float64]
+from tactile_hand_ros.compiled import Array, compiled
 
 _SINGULAR = 1e-13  # share of a pivot that is left when its row depends on those before
 

@@ -31,6 +31,8 @@ from tactile_hand_ros.config.model import Config, flatten
 
 F = TypeVar("F", bound=Callable[..., Any])
 
+Array = NDArray[np.float64]
+"""Doubles; docstrings give shape and unit."""
 Rows = NDArray[np.void]
 """Rows of named numbers, shape (n,): one argument instead of a dozen for compiled code."""
 Row = Any

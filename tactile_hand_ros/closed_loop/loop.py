@@ -12,9 +12,9 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tactile_hand_ros.closed_loop.record import Record
+from tactile_hand_ros.compiled import Array
 from tactile_hand_ros.control.contact import Contacts
 from tactile_hand_ros.control.controller import Command, Controller
 from tactile_hand_ros.control.optimizer.force_optimizer import ForceOptimizer, OptimalForces
@@ -27,8 +27,6 @@ from tactile_hand_ros.scenario.scenario import Scenario
 from tactile_hand_ros.simulation.engines import make_plant
 from tactile_hand_ros.simulation.plant import PlantState, sliding_speeds, true_reading
 from tactile_hand_ros.simulation.skin import TactileReading, TactileSensor
-
-Array = NDArray[np.float64]
 
 
 class Answer(NamedTuple):

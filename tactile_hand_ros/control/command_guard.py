@@ -12,8 +12,8 @@ from collections import Counter, deque
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tactile_hand_ros.compiled import Array
 from tactile_hand_ros.config.model import Config, param
 from tactile_hand_ros.control.holds import (
     GuardHold,
@@ -24,8 +24,6 @@ from tactile_hand_ros.control.holds import (
     tip_forces,
 )
 from tactile_hand_ros.hand.hand import Hand
-
-Array = NDArray[np.float64]
 
 NO_COMMAND = "no command yet"
 LATE = "the command is too old"

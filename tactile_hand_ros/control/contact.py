@@ -10,13 +10,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_hand_ros.compiled import compiled
+from tactile_hand_ros.compiled import Array, compiled
 from tactile_hand_ros.rotations import Vector, cross, rows_of_quaternions
 
 if TYPE_CHECKING:  # Pinocchio loads slowly
     from tactile_hand_ros.hand.hand import Fingertips
-
-Array = NDArray[np.float64]
 
 
 MIN_CONTACTS = 3

@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_hand_ros.compiled import Array
 from tactile_hand_ros.config.model import Config, param
 from tactile_hand_ros.control.contact import Contacts, all_finite, in_palm
 from tactile_hand_ros.control.holds import (
@@ -36,8 +37,6 @@ from tactile_hand_ros.control.targets import Grasp, SmoothReference, TargetQueue
 from tactile_hand_ros.errors import GraspError
 from tactile_hand_ros.hand.hand import Fingertips, Hand
 from tactile_hand_ros.rotations import rotation_from_quaternion
-
-Array = NDArray[np.float64]
 
 _NOT_FINITE = "the law gives no finite torque; holding until its inputs are plausible"
 

@@ -15,13 +15,11 @@ error, it pushes against an object with all it has: such a servo is not suitable
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tactile_hand_ros.compiled import Array
 from tactile_hand_ros.config.hand_config import Coupling, DriverConfig
 from tactile_hand_ros.errors import ConfigurationError
 from tactile_hand_ros.hand.hand import Hand
-
-Array = NDArray[np.float64]
 
 _GAINS = {"position": "stiffness", "velocity": "damping", "current": "torque_constant"}
 

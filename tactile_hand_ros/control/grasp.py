@@ -7,14 +7,11 @@ import math
 from itertools import combinations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from tactile_hand_ros.compiled import compiled
+from tactile_hand_ros.compiled import Array, compiled
 from tactile_hand_ros.control.contact import centroid, face_frame
 from tactile_hand_ros.errors import CollinearContactsError, GraspError
 from tactile_hand_ros.rotations import cross
-
-Array = NDArray[np.float64]
 
 # Below this, contacts count as lying on a line, and the rotation about it is lost (A7). The two
 # contacts of a gripper never control it, and count as spread.

@@ -26,15 +26,12 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from tactile_hand_ros.compiled import compiled
+from tactile_hand_ros.compiled import Array, compiled
 from tactile_hand_ros.config.model import Config, param
 from tactile_hand_ros.control.contact import Contacts, hand_jacobian, joint_torques
 from tactile_hand_ros.control.grasp import centered, grasp_map
 from tactile_hand_ros.hand.hand import Fingertips, Hand
-
-Array = NDArray[np.float64]
 
 _PHASE = 0.5  # w d: leaves 17 degrees of phase at the longest delay, 47 at half of it
 _DAMPING_PHASE = 1.25  # w d of damping alone: leaves 18 degrees

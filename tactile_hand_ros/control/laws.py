@@ -8,9 +8,9 @@ from collections.abc import Callable
 from typing import NamedTuple, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import field_validator
 
+from tactile_hand_ros.compiled import Array
 from tactile_hand_ros.config.model import Config, param
 from tactile_hand_ros.control.contact import Contacts, centroid, in_palm, joint_torques
 from tactile_hand_ros.control.grasp import VirtualFrame, pose_error, wrench_forces
@@ -19,8 +19,6 @@ from tactile_hand_ros.control.loads import LoadObserver, ObserverConfig, limit_w
 from tactile_hand_ros.errors import ConfigurationError, nearest
 from tactile_hand_ros.hand.hand import Fingertips
 from tactile_hand_ros.rotations import quaternion_from_rotation, rotation_from_quaternion
-
-Array = NDArray[np.float64]
 
 _OWN_NAME = re.compile(r"[^\W\d]\w*(\.[^\W\d]\w*)*:[^\W\d]\w*")
 

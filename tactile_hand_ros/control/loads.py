@@ -13,14 +13,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_hand_ros.compiled import compiled
+from tactile_hand_ros.compiled import Array, compiled
 from tactile_hand_ros.config.model import Config, param
 from tactile_hand_ros.control.contact import Contacts
 from tactile_hand_ros.control.grasp import centered, net_wrench, spread_wrench
 from tactile_hand_ros.rotations import cross, dot
-
-Array = NDArray[np.float64]
-
 
 _GRAZES = 1e-12  # fraction by which rounding may miss a double root, without tangential forces
 

@@ -14,15 +14,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_hand_ros.compiled import compiled
+from tactile_hand_ros.compiled import Array, compiled
 from tactile_hand_ros.control.contact import Contacts, hand_jacobian
 from tactile_hand_ros.control.grasp import collinearity_margin, joint_margin, net_wrench
 from tactile_hand_ros.control.slip.detector import ContactState
 
 if TYPE_CHECKING:  # the regulator computes margins, too, without a model of the hand
     from tactile_hand_ros.hand.hand import Hand
-
-Array = NDArray[np.float64]
 
 REACTION = 0.02
 """Time within which slip prevention must stop a slip (A6) [s]."""

@@ -17,12 +17,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_hand_ros.compiled import Array
 from tactile_hand_ros.control.contact import OFF_TIP, Contacts, in_palm, joint_torques
 from tactile_hand_ros.hand.hand import Fingertips, Hand
 from tactile_hand_ros.rotations import vector_from_rotation
-
-Array = NDArray[np.float64]
-
 
 _STANDING = 0.5  # fraction of the tolerance of touch that contacts may move while the joints rest
 _SUM = 1e-3  # largest error of sum f*_n = 1

@@ -13,8 +13,8 @@ from collections.abc import Iterator
 from itertools import islice
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tactile_hand_ros.compiled import Array
 from tactile_hand_ros.control.contact import OFF_TIP, Contacts
 from tactile_hand_ros.control.grasp import best_rotation, centered
 from tactile_hand_ros.control.laws import AuxiliaryPose, Target
@@ -22,8 +22,6 @@ from tactile_hand_ros.control.margins import TIP, angles_between, local_normals
 from tactile_hand_ros.errors import PoseError
 from tactile_hand_ros.hand.hand import Hand
 from tactile_hand_ros.rotations import vector_from_rotation
-
-Array = NDArray[np.float64]
 
 _ITERATIONS = 100
 _MAX_POSTURES = 32  # postures of a check, which runs inside a tick

@@ -4,14 +4,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tactile_hand_ros.compiled import Array
 from tactile_hand_ros.config.model import Config, param
 from tactile_hand_ros.control.contact import Contacts
 from tactile_hand_ros.control.reach import inverse_kinematics
 from tactile_hand_ros.hand.hand import Hand
-
-Array = NDArray[np.float64]
 
 
 class RegraspConfig(Config):

@@ -8,8 +8,8 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tactile_hand_ros.compiled import Array
 from tactile_hand_ros.control.contact import Contacts
 from tactile_hand_ros.control.laws import AuxiliaryPose, Target
 from tactile_hand_ros.control.reach import check_reach
@@ -17,7 +17,6 @@ from tactile_hand_ros.errors import PoseError
 from tactile_hand_ros.hand.hand import Hand
 from tactile_hand_ros.rotations import rodrigues, vector_from_rotation
 
-Array = NDArray[np.float64]
 _NEAR, _TURNED = 1e-3, 0.02  # m and rad; closer is arrived
 
 

@@ -7,15 +7,12 @@ import time
 from collections.abc import Callable, Sequence
 from typing import Any
 
-import numpy as np
 from geometry_msgs.msg import PoseArray, WrenchStamped
-from numpy.typing import NDArray
 
 from tactile_hand_ros import names
+from tactile_hand_ros.compiled import Array
 from tactile_hand_ros.ros.messages import ContactsCodec, WrenchCodec
 from tactile_hand_ros.ros.node import TactileNode
-
-Array = NDArray[np.float64]
 
 _MAXIMUM = 5
 """Maximum number of lines per second; further changes are not logged."""

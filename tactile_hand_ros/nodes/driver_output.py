@@ -13,11 +13,11 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import JointState
 
 from tactile_hand_ros import names
+from tactile_hand_ros.compiled import Array
 from tactile_hand_ros.config.hand_config import DriverConfig, load_hand_config
 from tactile_hand_ros.config.model import Config, param
 from tactile_hand_ros.control.driver_output import DriverOutput
@@ -29,7 +29,6 @@ from tactile_hand_ros.ros.node import TactileNode
 from tactile_hand_ros.ros.runner import run_node
 from tactile_hand_ros.ros.ticks import SenderCheck, two_senders
 
-Array = NDArray[np.float64]
 Encode = Callable[[int, Array], Any]  # from a timestamp [ns] and n numbers to a message or bytes
 
 

@@ -18,12 +18,12 @@ from typing import Any
 
 import numpy as np
 from geometry_msgs.msg import PoseStamped
-from numpy.typing import NDArray
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool
 from std_srvs.srv import SetBool, Trigger
 
 from tactile_hand_ros import names
+from tactile_hand_ros.compiled import Array
 from tactile_hand_ros.control.contact import Contacts, example_touch
 from tactile_hand_ros.control.controller import Command, Controller, ControllerConfig, Mode
 from tactile_hand_ros.control.laws import AuxiliaryPose, Target
@@ -42,8 +42,6 @@ from tactile_hand_ros.ros.node import TactileNode
 from tactile_hand_ros.ros.runner import run_node
 from tactile_hand_ros.ros.ticks import TickInputs
 from tactile_hand_ros.rotations import quaternion_from_rotation
-
-Array = NDArray[np.float64]
 
 _AT_LIMIT = "a joint is at the effort limit of the URDF; lower the grasp force or the gains"
 

@@ -26,6 +26,7 @@ from std_msgs.msg import Bool, Float64
 from std_srvs.srv import Trigger
 
 from tactile_hand_ros import names
+from tactile_hand_ros.compiled import Array
 from tactile_hand_ros.config.hand_config import load_hand_config
 from tactile_hand_ros.control.contact import Contacts, example_touch
 from tactile_hand_ros.control.loads import CarriedLoad
@@ -49,8 +50,6 @@ from tactile_hand_ros.ros.ticks import TickInputs
 
 HAPTIC_PERIOD_NS = 20_000_000
 """Simulated time between two haptic messages [ns]; actuators run at 50 Hz."""
-
-Array = NDArray[np.float64]
 
 
 class GripState(NamedTuple):

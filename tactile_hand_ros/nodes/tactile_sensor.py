@@ -13,9 +13,9 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tactile_hand_ros import names
+from tactile_hand_ros.compiled import Array
 from tactile_hand_ros.config.hand_config import load_hand_config
 from tactile_hand_ros.control.contact import example_touch
 from tactile_hand_ros.nodes.common import ReadingPublisher
@@ -26,8 +26,6 @@ from tactile_hand_ros.ros.runner import run_node
 from tactile_hand_ros.ros.ticks import TickInputs
 from tactile_hand_ros.rotations import quaternion_from_rotation
 from tactile_hand_ros.simulation.skin import TactileReading, TactileSensor, TactileSensorConfig
-
-Array = NDArray[np.float64]
 
 
 class TactileSensorNode(TactileNode[TactileSensorConfig]):

@@ -15,7 +15,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from geometry_msgs.msg import Point, PoseArray, PoseStamped, TransformStamped, WrenchStamped
-from numpy.typing import NDArray
 from rclpy.qos import QoSProfile, QoSReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.subscription import Subscription
@@ -23,6 +22,7 @@ from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray
 
 from tactile_hand_ros import names
+from tactile_hand_ros.compiled import Array
 from tactile_hand_ros.config.hand_config import load_hand_config
 from tactile_hand_ros.config.model import Config, param
 from tactile_hand_ros.errors import MessageError
@@ -38,7 +38,6 @@ try:
 except ImportError:  # not among the pip wheels, but part of every full installation
     TFMessage = None
 
-Array = NDArray[np.float64]
 Color = tuple[float, float, float, float]
 
 MARKERS = "markers"

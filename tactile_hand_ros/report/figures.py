@@ -6,9 +6,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from tactile_hand_ros.closed_loop.record import Record
 from tactile_hand_ros.extras import optional
 from tactile_hand_ros.report.style import (
@@ -29,8 +26,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
     from matplotlib.lines import Line2D
-
-Array = NDArray[np.float64]
 
 LineStyle = str | tuple[float, Sequence[float]]
 

@@ -6,13 +6,11 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tactile_hand_ros.compiled import Array
 from tactile_hand_ros.hand.hand import Hand
 from tactile_hand_ros.report.scene import hand_figure
 from tactile_hand_ros.report.style import save
-
-Array = NDArray[np.float64]
 
 JOINT_COLUMNS = ("joint", "moves", "range, rad", "torque, N m", "speed, rad/s", "also moves")
 FINGER_COLUMNS = ("finger", "joints", "radius, mm", "fitted to, mm", "reach, mm", "force, N")

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
+from tactile_hand_ros.compiled import Array
 from tactile_hand_ros.control.contact import hand_jacobian
 from tactile_hand_ros.control.laws import LAWS, LawInput
 from tactile_hand_ros.run import derived
@@ -276,7 +277,7 @@ def judge(outcomes: Outcomes) -> list[Claim]:
     return [each(outcomes) for each in judges]
 
 
-def translational_stiffness(scenario: Scenario, at: str = "tips") -> derived.Array:
+def translational_stiffness(scenario: Scenario, at: str = "tips") -> Array:
     """Return the force on the object per meter of position error, shape (3, 3), N/m.
 
     Their joint torques equal the drive of the law at the start of the run. They act at the
@@ -296,7 +297,7 @@ def translational_stiffness(scenario: Scenario, at: str = "tips") -> derived.Arr
     return np.asarray(forces.reshape(-1, 3, 3).sum(axis=0))
 
 
-def _until_loss(run: ExperimentRun) -> derived.Array:
+def _until_loss(run: ExperimentRun) -> Array:
     """Return how far contacts rolled over the object while all of them touched."""
     lost = np.flatnonzero(derived.contact_lost(run.record))
     end = int(lost[0]) if len(lost) else len(run.record)
@@ -309,7 +310,7 @@ def _apart(one: ExperimentRun, other: ExperimentRun) -> float:
     return float(np.linalg.norm(between, axis=1).max())
 
 
-def _largest(values: derived.Array) -> float:
+def _largest(values: Array) -> float:
     known = values[np.isfinite(values)]
     return float(known.max()) if known.size else math.nan
 

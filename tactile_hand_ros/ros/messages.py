@@ -23,12 +23,12 @@ from numpy.typing import NDArray
 from sensor_msgs.msg import JoyFeedback, JoyFeedbackArray
 
 from tactile_hand_ros.cdr import CdrTemplate, Content, ContentReader, to_nanoseconds
+from tactile_hand_ros.compiled import Array
 from tactile_hand_ros.config.explanation import did_you_mean
 from tactile_hand_ros.control.contact import Contacts
 from tactile_hand_ros.errors import MessageError, UnsafeOutputError
 from tactile_hand_ros.names import PALM_FRAME
 
-Array = NDArray[np.float64]
 Force = tuple[float, float, float]
 
 LARGEST_NUMBER = 1e9

@@ -10,9 +10,9 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tactile_hand_ros.closed_loop.record import Record
+from tactile_hand_ros.compiled import Array
 from tactile_hand_ros.control.contact import Contacts
 from tactile_hand_ros.control.grasp import MIN_COLLINEARITY_MARGIN, net_wrench
 from tactile_hand_ros.control.margins import REACTION, GraspMonitor, cone_distances
@@ -20,8 +20,6 @@ from tactile_hand_ros.control.slip.detector import ContactState
 from tactile_hand_ros.hand.hand import Hand
 from tactile_hand_ros.run.derived import spans
 from tactile_hand_ros.run.metrics import Plain
-
-Array = NDArray[np.float64]
 
 _ROWS = 1000  # approximate number of ticks for which kinematics is computed
 _SETTLING = 0.05  # s, while contacts are still closing

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_hand_ros.closed_loop.record import Record
+from tactile_hand_ros.compiled import Array
 from tactile_hand_ros.control import grasp
 from tactile_hand_ros.rotations import rotation_from_quaternion
 
@@ -66,9 +67,6 @@ def dropped_at(record: Record, releases: Sequence[float] = ()) -> float:
         return math.nan
     time = float(record.times[known[held[-1] + 1]])
     return math.nan if any(release <= time for release in releases) else time
-
-
-Array = NDArray[np.float64]
 
 
 def position_error(record: Record) -> Array:

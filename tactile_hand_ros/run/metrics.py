@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_hand_ros.closed_loop.record import Record
+from tactile_hand_ros.compiled import Array
 from tactile_hand_ros.run import derived
 from tactile_hand_ros.run.events import alarm_count, slip_count
 from tactile_hand_ros.scenario.scenario import GoalConfig, Scenario
@@ -40,8 +41,6 @@ class Plain:
         plain: dict[str, Any] = json_ready(asdict(self))
         return plain
 
-
-Array = NDArray[np.float64]
 
 START_S = 0.02
 """Initial time that friction peaks leave out, s: at tick 0 no force acts yet."""

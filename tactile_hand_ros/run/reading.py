@@ -20,6 +20,7 @@ from tactile_hand_ros import names
 from tactile_hand_ros.bag.reader import TopicMessages
 from tactile_hand_ros.cdr import Table, header_stamp, tables
 from tactile_hand_ros.closed_loop.record import Record
+from tactile_hand_ros.compiled import Array
 from tactile_hand_ros.errors import BagError
 
 _TYPES = {
@@ -105,7 +106,6 @@ def find_fingers(topics: Iterable[str], prefix: str) -> list[str]:
     return sorted(found, key=lambda name: (len(name), name))
 
 
-Array = NDArray[np.float64]
 Times = NDArray[np.int64]
 
 

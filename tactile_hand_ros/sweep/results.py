@@ -9,16 +9,15 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tactile_hand_ros import files
+from tactile_hand_ros.compiled import Array
 from tactile_hand_ros.extras import optional
 from tactile_hand_ros.report import tables
 from tactile_hand_ros.sweep.engine import OUTCOMES, Study
 from tactile_hand_ros.sweep.sweep import METRICS, ScenarioRun
 from tactile_hand_ros.sweep.table import Table
 
-Array = NDArray[np.float64]
 Interval = tuple[float, float, float]
 """A value and the ends of its 95 % interval."""
 

@@ -8,13 +8,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tactile_hand_ros.compiled import Array
 from tactile_hand_ros.config.plain_yaml import parse_yaml
 from tactile_hand_ros.errors import ConfigurationError
 from tactile_hand_ros.extras import optional
-
-Array = NDArray[np.float64]
 
 _FORMS = "LOW..HIGH, LOW..HIGH/LEVELS, LOW..HIGH:log or a list such as A,B,C"
 

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from tactile_hand_ros import names
 from tactile_hand_ros.closed_loop.loop import Chain
 from tactile_hand_ros.closed_loop.record import Record
+from tactile_hand_ros.compiled import Array
 from tactile_hand_ros.control.contact import Contacts
 from tactile_hand_ros.control.controller import Command, Controller, Mode
 from tactile_hand_ros.control.optimizer.force_optimizer import ForceOptimizer, OptimalForces, Status
@@ -36,8 +37,6 @@ from tactile_hand_ros.verify.recorded_inputs import (
     Inputs,
     read_inputs,
 )
-
-Array = NDArray[np.float64]
 
 COMPARED = (
     ("grasp_force", "grasp_force", "N"),

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from tactile_hand_ros import names
 from tactile_hand_ros.bag.reader import read_messages
 from tactile_hand_ros.closed_loop.record import Record
+from tactile_hand_ros.compiled import Array
 from tactile_hand_ros.config.model import Config
 from tactile_hand_ros.control.contact import Contacts
 from tactile_hand_ros.control.laws import Target
@@ -20,7 +21,6 @@ from tactile_hand_ros.run.events import nanoseconds, read_asked
 from tactile_hand_ros.run.run import Run
 from tactile_hand_ros.scenario.scenario import Scenario
 
-Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
 _FIELDS = (

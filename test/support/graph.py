@@ -26,9 +26,10 @@ from bench.processes import CapturedProcess, start_executable
 from support.messages import pose_message
 from support.spinning import spinning
 from tactile_hand_ros import names
+from tactile_hand_ros.compiled import Array
 from tactile_hand_ros.config.hand_config import load_hand_config
 from tactile_hand_ros.ros import qos
-from tactile_hand_ros.ros.messages import Array, stamp_to_ns
+from tactile_hand_ros.ros.messages import stamp_to_ns
 from tactile_hand_ros.ros.middleware import ros_context
 from tactile_hand_ros.ros.node import PUBLICATIONS, SUBSCRIPTIONS
 from tactile_hand_ros.ros.parameters import to_params_yaml

@@ -16,13 +16,10 @@ can be. See `quadratic_program` for the method.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from tactile_hand_ros.compiled import compiled
+from tactile_hand_ros.compiled import Array, compiled
 from tactile_hand_ros.control.optimizer.cones import DIRECTIONS, INSIDE, SIDES, Cones
 from tactile_hand_ros.control.optimizer.quadratic_program import Problem, QuadraticProgram
-
-Array = NDArray[np.float64]
 
 _PENALTY = 5.0  # rho, relative to the largest weight
 _SCALE = 0.3  # of the cost for its largest weight; conditions the dual variables

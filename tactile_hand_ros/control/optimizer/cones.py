@@ -10,16 +10,12 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tactile_hand_ros.cholesky import factorize, substitute
-from tactile_hand_ros.compiled import compiled
+from tactile_hand_ros.compiled import Array, compiled
 from tactile_hand_ros.control.contact import face_frame
 from tactile_hand_ros.control.grasp import centered
 from tactile_hand_ros.rotations import cross
-
-Array = NDArray[np.float64]
-
 
 SIDES = 12
 """Sides of a pyramid."""

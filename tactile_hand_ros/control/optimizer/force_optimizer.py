@@ -8,9 +8,8 @@ import math
 from typing import Literal, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from tactile_hand_ros.compiled import compiled
+from tactile_hand_ros.compiled import Array, compiled
 from tactile_hand_ros.config.model import Config, param
 from tactile_hand_ros.control.contact import MIN_CONTACTS, Contacts, all_finite, in_palm
 from tactile_hand_ros.control.grasp import (
@@ -34,8 +33,6 @@ from tactile_hand_ros.control.optimizer.quadratic_program import (
     Solution,
 )
 from tactile_hand_ros.errors import ConfigurationError
-
-Array = NDArray[np.float64]
 
 _RELAXED = 0.75  # fraction of the grasp force at which f* must hold, so that k_f can fall
 _MAX_RESIDUAL = 1e-6  # a larger one means no solution

@@ -22,10 +22,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from tactile_hand_ros.cholesky import factorize, substitute
-from tactile_hand_ros.compiled import compiled
-
-Array = NDArray[np.float64]
-
+from tactile_hand_ros.compiled import Array, compiled
 
 _ROUNDING = 1e-12  # of the largest unknown or multiplier above 1; smaller violations are rounding
 _DEPENDENT = 1e-13  # fraction of a row that remains if it depends on the active ones

@@ -9,11 +9,9 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_hand_ros.compiled import Row, Rows, compiled, row_of
+from tactile_hand_ros.compiled import Array, Row, Rows, compiled, row_of
 from tactile_hand_ros.config.model import Config, param
 from tactile_hand_ros.rotations import dot
-
-Array = NDArray[np.float64]
 
 # Largest gain of the innovation over frequency against its mean, at even times: 2^4 / (1 + 4 + 1)
 _OVERLAP = 16.0 / 6.0

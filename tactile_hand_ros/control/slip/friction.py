@@ -8,12 +8,10 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_hand_ros.compiled import Row, Rows, compiled, row_of
+from tactile_hand_ros.compiled import Array, Row, Rows, compiled, row_of
 from tactile_hand_ros.config.model import Config, param
 from tactile_hand_ros.control.slip.detector import ContactState
 from tactile_hand_ros.rotations import dot
-
-Array = NDArray[np.float64]
 
 _SAMPLES = 10  # of a slip that count; later ones may have stopped already
 _AFTERSHOCKS = 0.05  # s in which another alarm belongs to the same slip

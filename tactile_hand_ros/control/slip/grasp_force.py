@@ -8,12 +8,10 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_hand_ros.compiled import Rows, compiled
+from tactile_hand_ros.compiled import Array, Rows, compiled
 from tactile_hand_ros.config.model import Config, param
 from tactile_hand_ros.control.loads import ReserveConfig, Split, required_grasp_force, shift
 from tactile_hand_ros.rotations import dot
-
-Array = NDArray[np.float64]
 
 _LOAD_TIME = 0.005  # s, time constant of the measured load: a few samples of a fast skin
 _LEAD = 0.01  # s of extrapolation of a load: about the delay of skin, tick and fingers

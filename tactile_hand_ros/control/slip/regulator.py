@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import model_validator
 
-from tactile_hand_ros.compiled import Rows
+from tactile_hand_ros.compiled import Array, Rows
 from tactile_hand_ros.config.hand_config import load_hand_config
 from tactile_hand_ros.config.model import Config, param
 from tactile_hand_ros.control.contact import Contacts, in_palm
@@ -24,9 +24,6 @@ from tactile_hand_ros.control.slip.grasp_force import (
 )
 from tactile_hand_ros.errors import MessageError
 from tactile_hand_ros.hand.urdf import finger_weight
-
-Array = NDArray[np.float64]
-
 
 _AGE = 20_000_000  # ns; a restored estimate is at least this old, and at most twice
 _LANDING = 0.05  # s, time constant of the approach to the user's grasp force
