@@ -121,7 +121,7 @@ def _publish(
 
     bag = find_bag(path)
     try:
-        from tactile_hand_ros.bag.selection import TopicSelection
+        from tactile_hand_ros.nodes.recorder.config import TopicSelection
         from tactile_hand_ros.nodes.replay import replaying
         from tactile_hand_ros.ros.middleware import full_namespace
     except ModuleNotFoundError as error:

@@ -17,8 +17,8 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rosbags.highlevel import AnyReader
 
 from tactile_hand_ros.bag.reader import iterate, open_bag
-from tactile_hand_ros.bag.selection import TopicSelection
 from tactile_hand_ros.errors import BagError
+from tactile_hand_ros.nodes.recorder.config import TopicSelection
 from tactile_hand_ros.ros.endpoints import message_class
 from tactile_hand_ros.ros.middleware import graph_node, ros_context
 

@@ -12,9 +12,8 @@ from typing import Any
 from tactile_hand_ros.bag.metadata import offered_qos
 from tactile_hand_ros.bag.provenance import LOST_KEY, RECORD_NAME, provenance
 from tactile_hand_ros.bag.schema import message_definition
-from tactile_hand_ros.bag.selection import TopicSelection
 from tactile_hand_ros.errors import BagError
-from tactile_hand_ros.nodes.recorder.config import RecorderConfig
+from tactile_hand_ros.nodes.recorder.config import RecorderConfig, TopicSelection
 from tactile_hand_ros.nodes.recorder.topic import RawTopic, publishers_of
 from tactile_hand_ros.nodes.recorder.writer_process import WriterProcess
 from tactile_hand_ros.ros.diagnostics import WARN

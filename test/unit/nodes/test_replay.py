@@ -20,11 +20,11 @@ from bench.processes import isolated_domain
 from tactile_hand_ros.bag.metadata import offered_qos
 from tactile_hand_ros.bag.reader import open_bag
 from tactile_hand_ros.bag.schema import MessageDefinition
-from tactile_hand_ros.bag.selection import TopicSelection
 from tactile_hand_ros.bag.writer import BagWriter
 from tactile_hand_ros.cli.app import main
 from tactile_hand_ros.errors import BagError
 from tactile_hand_ros.nodes import replay as replay_module
+from tactile_hand_ros.nodes.recorder.config import TopicSelection
 from tactile_hand_ros.nodes.replay import Replay
 
 TYPE, BEGIN, STEP = "std_msgs/msg/Int64", 10**18, 10_000_000

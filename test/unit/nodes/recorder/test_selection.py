@@ -3,10 +3,9 @@
 
 import pytest
 
-from tactile_hand_ros.bag.selection import TopicSelection
 from tactile_hand_ros.config.model import from_flat
 from tactile_hand_ros.errors import ConfigurationError
-from tactile_hand_ros.nodes.recorder.config import RecorderConfig
+from tactile_hand_ros.nodes.recorder.config import RecorderConfig, TopicSelection
 
 
 @pytest.mark.parametrize(
