@@ -31,7 +31,8 @@ def with_options(command: Callable[..., Result]) -> Callable[..., Result]:
     parameters: list[inspect.Parameter] = []
     for parameter in signature.parameters.values():
         if is_dataclass(parameter.annotation):
-            name, options = parameter.name, parameter.annotation
+            name: str = parameter.name
+            options: Any = parameter.annotation
             own = inspect.signature(options, eval_str=True).parameters
             parameters += map(_option, own.values(), fields(options))
         else:
