@@ -125,6 +125,7 @@ class RunningHand:
         make, profile = self.node.create_publisher, qos.user_qos()
         self.poses = make(PoseStamped, names.DESIRED_POSE, profile)
         self.grasp_forces = make(Float64, names.USER_GRASP_FORCE, profile)
+        make(WrenchStamped, names.PUSH, profile)  # unused, but the plant waits for its user
         self._subscribe(PoseStamped, names.OBJECT_POSE)
         self._subscribe(PoseArray, names.TRUE_CONTACTS)
         self._subscribe(PoseStamped, names.AUXILIARY_POSE)
