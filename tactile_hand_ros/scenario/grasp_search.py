@@ -56,9 +56,7 @@ _TOUCH = 1e-4  # m; further away, a tip does not touch
 # (1 + 2 w T) (2 w + w^2 T) > (1 + r) w^2 T: here for r < 29, s.
 _SLOW = 0.1
 _BITS = 14  # of the encoders, as most hands have
-_COMPLIANCE = (
-    5e-5  # m/N, of tips of hard rubber; between rigid ones, bearings share forces by chance
-)
+_COMPLIANCE = 5e-5  # m/N, hard rubber; rigid tips leave it to chance what bearings carry
 
 
 @dataclass(frozen=True)
