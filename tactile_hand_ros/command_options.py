@@ -7,7 +7,7 @@ import functools
 import inspect
 from collections.abc import Callable
 from dataclasses import MISSING, Field, fields, is_dataclass
-from typing import Any, TypeVar
+from typing import Any, TypeVar, get_type_hints
 
 Result = TypeVar("Result")
 
@@ -31,25 +31,37 @@ def with_options(command: Callable[..., Result]) -> Callable[..., Result]:
     parameters: list[inspect.Parameter] = []
     for parameter in signature.parameters.values():
         if is_dataclass(parameter.annotation):
-            name: str = parameter.name
-            options: Any = parameter.annotation
-            own = inspect.signature(options, eval_str=True).parameters
-            parameters += map(_option, own.values(), fields(options))
+            name, options = parameter.name, parameter.annotation
+            parameters += _parameters(options)
         else:
             parameters.append(parameter.replace(kind=inspect.Parameter.KEYWORD_ONLY))
 
     @functools.wraps(command)
     def run(**given: Any) -> Result:
-        values = {each: given.pop(each) for each in own}
-        return command(**given, **{name: options(**values)})
+        own = {field.name: given.pop(field.name) for field in fields(options)}
+        return command(**given, **{name: options(**own)})  # type: ignore[operator]
 
     run.__signature__ = signature.replace(parameters=parameters)  # type: ignore[attr-defined]
     run.__annotations__ = {each.name: each.annotation for each in parameters}
     return run
 
 
-def _option(parameter: inspect.Parameter, field: Field[Any]) -> inspect.Parameter:
-    """Return a keyword parameter for a field, with the value that its default factory makes."""
-    found = parameter.replace(kind=inspect.Parameter.KEYWORD_ONLY)
-    factory = field.default_factory
-    return found if factory is MISSING else found.replace(default=factory())
+def _parameters(options: Any) -> list[inspect.Parameter]:
+    """Return a parameter for each field of a dataclass."""
+    hints = get_type_hints(options, include_extras=True)
+    return [
+        inspect.Parameter(
+            field.name,
+            inspect.Parameter.KEYWORD_ONLY,
+            default=_default(field),
+            annotation=hints[field.name],
+        )
+        for field in fields(options)
+    ]
+
+
+def _default(field: Field[Any]) -> Any:
+    """Return the default of a field, or that of a parameter without one."""
+    if field.default_factory is not MISSING:
+        return field.default_factory()
+    return inspect.Parameter.empty if field.default is MISSING else field.default
