@@ -31,7 +31,7 @@ def test_a_package_that_is_not_there_is_named(monkeypatch, prefix):
 
 
 def test_an_unknown_executable_is_named_with_the_known_ones():
-    with pytest.raises(ExecutableError, match="'no_such_node'; choose one of composed, "):
+    with pytest.raises(ExecutableError, match="'no_such_node'; choose one of cockpit, composed, "):
         executable_path("no_such_node")
 
 

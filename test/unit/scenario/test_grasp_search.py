@@ -107,8 +107,9 @@ def test_a_found_grasp_holds_at_the_first_try_and_bears_a_pull(tmp_path, shape, 
         scenario(tmp_path, values, duration=1.0, **{"plant.disturbances": pull})
     ).run()
     moved = np.linalg.norm(record.object_position - record.object_position[0], axis=1)
-    assert len(record) == 1001 and moved.max() < 0.003
-    assert np.isfinite(record.true_positions).all()
+    # Which grasp is found depends on rounding, and its stiffness on the grasp.
+    assert len(record) == 1001 and moved.max() < 0.008 and moved[-1] < 1e-3
+    assert np.isfinite(record.true_positions).all() and record.true_slid[-1].max() < 1e-3
 
 
 def test_without_a_grasp_it_says_why():
