@@ -33,7 +33,7 @@ def urdf_of_mjcf(path: Path) -> Element:
     Raises:
         HandModelError: If MuJoCo cannot read it, or a joint is a ball.
     """
-    mujoco = optional("mujoco", "Reading an MJCF file")
+    mujoco = optional("mujoco", "Reading an MJCF file", package="mujoco-core")
     try:
         model = mujoco.MjModel.from_xml_path(str(path))
     except ValueError as error:

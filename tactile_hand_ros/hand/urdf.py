@@ -126,9 +126,9 @@ def _check_numbers(root: Element, name: str, any_inertia: bool) -> None:
                 raise _wrong(joint, name, found, expected)
     moved = moved_links(root)
     for link in root.findall("link"):
-        massless = 0.0 if link.get("name") in moved else -1e-9  # frames on the palm may have none
+        moves = link.get("name") in moved  # frames that are fixed to the palm may have no mass
         for tag, attribute, value in _numbers(link, _OF_LINKS, name):
-            if attribute == "value" and value <= massless:
+            if attribute == "value" and (value < 0.0 or (moves and value == 0.0)):
                 advice = "correct it, or remove <inertial> from a link without mass"
                 raise _wrong(link, name, f"{tag} is {value:g}", "a mass above 0 kg", advice)
         if link.find("inertial/inertia") is not None:
