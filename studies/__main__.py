@@ -50,6 +50,7 @@ def _kept(study: Study, out: Path, jobs: int) -> RunTable:
 
 def _finish(out: Path, files: list[Path], *tables: Table) -> None:
     """Write tables as Markdown, and print the tables and the files."""
+    out.mkdir(parents=True, exist_ok=True)
     text = "\n".join(markdown(columns, rows) for _, columns, rows in tables)
     out.joinpath("summary.md").write_text(text, encoding="utf-8")
     for table in tables:
@@ -88,7 +89,6 @@ def invariance(
     with workers(jobs):
         done = in_parallel(functools.partial(i.compare, count=runs, seed=seed), i.SCENARIOS)
         found = [row for rows in done for row in rows]
-    out.mkdir(parents=True, exist_ok=True)
     _finish(out, [], ("invariance", i.COLUMNS, found))
 
 
@@ -203,7 +203,6 @@ def hands(
     check_writable(out)
     with workers(jobs):
         found = list(in_parallel(h.tried, h.PAIRS))
-    out.mkdir(parents=True, exist_ok=True)
     _finish(out, [], ("hands", h.COLUMNS, found))
 
 
@@ -221,7 +220,6 @@ def engines(
     check_writable(out)
     with workers(jobs):
         rows = list(in_parallel(e.compare, scenario or scenario_names()))
-    out.mkdir(parents=True, exist_ok=True)
     friction = ("friction", e.FRICTION_COLUMNS, e.friction_rows())
     _finish(out, [], ("own / mujoco", e.COLUMNS, rows), friction)
 
