@@ -236,7 +236,7 @@ def joint_torques(
 _RADIUS = 0.05  # m
 
 
-def example_touch(fingers: int) -> tuple[Contacts, NDArray[np.float64]]:
+def example_touch(fingers: int) -> tuple[Contacts, Array]:
     """Return contacts around a cylinder, and forces on it in contact frames, shape (k, 3), N.
 
     Args:

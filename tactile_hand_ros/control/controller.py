@@ -519,8 +519,8 @@ class Controller:
         limit = self.config.grasp_force_limit
         if 0.0 < _MOVES_UNTIL * limit < now.grasp_force:
             return (
-                f"k_f = {now.grasp_force:.3g} N is near its limit of {limit:g} N, and the way ahead "
-                "may need more"
+                f"k_f = {now.grasp_force:.3g} N is near its limit of {limit:g} N, and the way "
+                "ahead may need more"
             )
         left = room(self._fingers, now.theta, now.contacts)
         self._room = left if self._room is None else np.maximum(self._room, left)
@@ -589,7 +589,7 @@ class Controller:
 
     def _spring(self, theta: Array, rates: Array) -> Array:
         """Return the torque that brings the joints back to the held posture, (m,), N m."""
-        inertia = self.hand.dynamics(theta, rates)[1]
+        inertia = self.hand.dynamics(theta, rates).inertia
         return spring(inertia, self._stiffest(inertia), self._posture - theta, -rates)
 
     def _stiffest(self, inertia: Array) -> float:
@@ -627,16 +627,16 @@ class Controller:
             return
         if self._required is None:
             forces = in_palm(now.contacts.rotations, now.optimal_forces, 1.0)
-            inertia = self.hand.dynamics(now.theta, np.zeros(self.hand.joints))[1]
+            inertia = self.hand.dynamics(now.theta, np.zeros(self.hand.joints)).inertia
             needed = required_bandwidth(self._fingers, now.theta, now.contacts, forces)
             self._required = needed, self._stiffest(inertia)
         required, has = math.sqrt(now.grasp_force) * self._required[0], self._required[1]
         if required > has:
             rate = 1.0 / self._period
             self.warning = (
-                f"without inputs this grasp would buckle: at {rate:.0f} Hz the hold has a bandwidth "
-                f"of {has:.0f} rad/s, k_f = {now.grasp_force:.3g} N needs {required:.0f} rad/s, "
-                f"about {rate * required / has:.0f} Hz"
+                f"without inputs this grasp would buckle: at {rate:.0f} Hz the hold has a "
+                f"bandwidth of {has:.0f} rad/s, k_f = {now.grasp_force:.3g} N needs "
+                f"{required:.0f} rad/s, about {rate * required / has:.0f} Hz"
             )
 
     def _implausible(self, optimal_forces: Array, grasp_force: float) -> str:

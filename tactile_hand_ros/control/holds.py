@@ -31,7 +31,7 @@ from tactile_hand_ros.compiled import Array, compiled
 from tactile_hand_ros.config.model import Config, param
 from tactile_hand_ros.control.contact import Contacts, hand_jacobian, joint_torques
 from tactile_hand_ros.control.grasp import centered, grasp_map
-from tactile_hand_ros.hand.hand import Fingertips, Hand
+from tactile_hand_ros.hand.hand import Dynamics, Fingertips, Hand
 
 _PHASE = 0.5  # w d: leaves 17 degrees of phase at the longest delay, 47 at half of it
 _DAMPING_PHASE = 1.25  # w d of damping alone: leaves 18 degrees
@@ -188,7 +188,7 @@ def required_bandwidth(
         missing[m : m + 3], missing[m + 3 :] = 0.0, -np.cross(moved, forces).sum(axis=0)
         stiffness[:, i] = motions.T @ missing
     joints = motions[:m]
-    inertia = joints.T @ hand.dynamics(theta, np.zeros(m))[1] @ joints
+    inertia = joints.T @ hand.dynamics(theta, np.zeros(m)).inertia @ joints
     return math.sqrt(_MARGIN * max(0.0, -_minimum_ratio(0.5 * (stiffness + stiffness.T), inertia)))
 
 
@@ -252,7 +252,7 @@ def fitted_gains(
         error: Largest error of an angle, rad.
         delay: n, ticks.
     """
-    inertia = hand.dynamics(theta, np.zeros(hand.joints))[1]
+    inertia = hand.dynamics(theta, np.zeros(hand.joints)).inertia
     largest = min(1.0, _DAMPING_PHASE / (delay + 0.5)) / tick
     quietest = min(largest, _quietest(hand, inertia, error))
     motions = _motions(hand, hand.fingertips(theta), contacts)
@@ -289,7 +289,7 @@ def largest_damping(
         tick: T, s.
     """
     joints, twists = np.split(_motions(hand, hand.fingertips(theta), contacts), [hand.joints])
-    inertia = joints.T @ hand.dynamics(theta, np.zeros(hand.joints))[1] @ joints
+    inertia = joints.T @ hand.dynamics(theta, np.zeros(hand.joints)).inertia @ joints
     inertia += twists.T @ body @ twists
     return 2.0 * _minimum_ratio(inertia, joints.T @ joints) / tick
 
@@ -402,20 +402,6 @@ class GuardHoldConfig(Config):
     )
 
 
-class JointTerms(NamedTuple):
-    """Kinematics and dynamics of the hand at one posture.
-
-    Attributes:
-        tips: Fingertip centers and Jacobians.
-        inertia: M_h, shape (m, m).
-        bias: C_h theta' + N_h, shape (m,), N m.
-    """
-
-    tips: Fingertips
-    inertia: Array
-    bias: Array
-
-
 _LOAD_TIME = 0.005  # s over which the load is averaged
 
 
@@ -480,9 +466,7 @@ class GuardHold:
         self._start, self._speed, self._ticks = theta.copy(), rates.copy(), 0
         self.reference = self._start, self._speed
 
-    def step(
-        self, joints: tuple[Array, Array] | None, terms: JointTerms, *, follows: bool
-    ) -> Array:
+    def step(self, joints: tuple[Array, Array] | None, terms: Dynamics, *, follows: bool) -> Array:
         """Return the holding torque, shape (m,), N m.
 
         Args:
@@ -502,7 +486,7 @@ class GuardHold:
         held = internal + terms.bias + terms.inertia @ acceleration
         return np.asarray(held + spring(terms.inertia, w, away, speed - rates))
 
-    def _follow_load(self, terms: JointTerms, away: Array) -> None:
+    def _follow_load(self, terms: Dynamics, away: Array) -> None:
         """Raise the internal force with the load; it never falls during a hold.
 
         The load is the deflection of the spring, from angles alone and beyond their resolution, so

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from tactile_hand_ros.compiled import Array
 from tactile_hand_ros.control.contact import OFF_TIP, Contacts, in_palm, joint_torques
-from tactile_hand_ros.hand.hand import Fingertips, Hand
+from tactile_hand_ros.hand.hand import Dynamics, Fingertips, Hand
 from tactile_hand_ros.rotations import vector_from_rotation
 
 _STANDING = 0.5  # fraction of the tolerance of touch that contacts may move while the joints rest
@@ -125,7 +125,7 @@ class ForceTorqueCheck:
         self,
         stamp: int,
         rates: Array,
-        terms: tuple[Fingertips, Array, Array],
+        terms: Dynamics,
         contacts: Contacts,
         forces: Array,
         applied: Array,
@@ -267,7 +267,7 @@ class InputCheck:
             tips = self._hand.fingertips(theta)
         else:
             terms = self._hand.dynamics(theta, rates)
-            tips, _, _ = terms
+            tips = terms.tips
             problem = self._forces.step(stamp, rates, terms, contacts, *pressing, limits, palm)
         radii = self._hand.radii
         allowed = np.full(len(radii), limits.touch) if limits.touch > 0.0 else OFF_TIP * radii

@@ -17,11 +17,10 @@ import sys
 from collections.abc import Iterator, Sequence
 from typing import Any, cast
 
-import numpy as np
-from numpy.typing import NDArray
 from rclpy.node import Node
 
 from tactile_hand_ros.closed_loop.loop import Chain, SensingChain
+from tactile_hand_ros.compiled import Array
 from tactile_hand_ros.control.contact import Contacts
 from tactile_hand_ros.names import RECORD
 from tactile_hand_ros.nodes.force_optimizer import ForceOptimizerNode
@@ -36,8 +35,6 @@ from tactile_hand_ros.ros.runner import run_nodes
 from tactile_hand_ros.ros.ticks import TickInputs
 from tactile_hand_ros.simulation.plant import PlantState
 from tactile_hand_ros.simulation.skin import TactileReading
-
-Array = NDArray[np.float64]
 
 MEMBERS = (
     PlantNode,

@@ -55,8 +55,8 @@ HAPTIC_PERIOD_NS = 20_000_000
 class GripState(NamedTuple):
     """The regulator's estimates for each contact, arrays of shape (k,)."""
 
-    friction: NDArray[np.float64]
-    evidence: NDArray[np.float64]
+    friction: Array
+    evidence: Array
     grip: NDArray[np.int_]
 
     @classmethod
@@ -87,7 +87,7 @@ class RegulatorReport:
         regulator: SlipRegulator,
         stamp: int,
         contacts: Contacts,
-        forces: NDArray[np.float64],
+        forces: Array,
         state: GripState,
     ) -> None:
         """Record a tick: measurements in contact frames and the regulator's estimates."""

@@ -6,8 +6,8 @@ from __future__ import annotations
 import warnings
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tactile_hand_ros.compiled import Array
 from tactile_hand_ros.control.contact import hand_jacobian
 from tactile_hand_ros.control.grasp import VirtualFrame, check_joints, check_spread
 from tactile_hand_ros.control.holds import largest_damping, largest_stiffness
@@ -94,7 +94,7 @@ def check_scenario(scenario: Scenario) -> None:
         check_own_law(law, hand, LawInput(tips, contacts, optimal.forces, grasp_force))
 
 
-def _check_posture(hand: Hand, theta: NDArray[np.float64]) -> None:
+def _check_posture(hand: Hand, theta: Array) -> None:
     """Reject an initial posture beyond the limits of a joint."""
     lower, upper = hand.position_limits
     beyond = np.flatnonzero((theta < lower) | (theta > upper))

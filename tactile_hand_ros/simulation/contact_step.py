@@ -9,15 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_hand_ros.cholesky import factorize, substitute
-from tactile_hand_ros.compiled import compiled
+from tactile_hand_ros.compiled import Array, compiled
 from tactile_hand_ros.control.contact import contact_frame, hand_jacobian
 from tactile_hand_ros.control.grasp import grasp_map
 from tactile_hand_ros.hand.hand import Fingertips, RawDynamics, tip_jacobians
 from tactile_hand_ros.rotations import rodrigues
 from tactile_hand_ros.simulation.coulomb import EXACT, solve_contacts
 from tactile_hand_ros.simulation.solid import Shape, closest_point
-
-Array = NDArray[np.float64]
 
 TOUCH = 1e-6  # gap below which a finger counts as touching, m
 NEAR = 2e-3  # gap below which a contact is part of the problem of a step, m

@@ -25,12 +25,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tactile_hand_ros.cholesky import factorize, substitute
-from tactile_hand_ros.compiled import compiled
-
-Array = NDArray[np.float64]
+from tactile_hand_ros.compiled import Array, compiled
 
 EXACT = 0
 """Outcome: both laws hold."""

@@ -7,11 +7,9 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tactile_hand_ros.compiled import Array
 from tactile_hand_ros.config.model import Config, param
-
-Array = NDArray[np.float64]
 
 
 class EncoderConfig(Config):

@@ -3,14 +3,10 @@
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
-
+from tactile_hand_ros.compiled import Array
 from tactile_hand_ros.control.command_guard import CommandGuard, TorqueCommand
 from tactile_hand_ros.simulation.engines import make_plant
 from tactile_hand_ros.simulation.plant_config import PlantConfig
-
-Array = NDArray[np.float64]
 
 PUSH_LASTS = 200_000_000
 """Time after which a push ends that is not renewed, so that no dead user pulls on, ns."""

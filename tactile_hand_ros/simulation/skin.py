@@ -9,9 +9,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
-from tactile_hand_ros.compiled import Row, Rows, compiled, row_of
+from tactile_hand_ros.compiled import Array, Row, Rows, compiled, row_of
 from tactile_hand_ros.config.model import Config, param
 from tactile_hand_ros.control.contact import Contacts, contact_frame, in_palm
 from tactile_hand_ros.rotations import (
@@ -25,8 +24,6 @@ from tactile_hand_ros.rotations import (
 
 if TYPE_CHECKING:  # only a wrong calibration needs the model
     from tactile_hand_ros.hand.hand import Hand
-
-Array = NDArray[np.float64]
 
 
 class VibrationConfig(Config):

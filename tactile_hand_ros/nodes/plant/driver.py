@@ -8,15 +8,14 @@ from collections.abc import Callable, Mapping
 from types import MappingProxyType
 from typing import Any, Protocol
 
-import numpy as np
 from geometry_msgs.msg import PoseStamped
-from numpy.typing import NDArray
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import Imu, JointState
 from std_msgs.msg import Bool, String
 
 from tactile_hand_ros import names
 from tactile_hand_ros.cdr import clock_bytes
+from tactile_hand_ros.compiled import Array
 from tactile_hand_ros.errors import DivergedError
 from tactile_hand_ros.hand.hand import Hand
 from tactile_hand_ros.nodes.common import ModeLog, ReadingPublisher
@@ -31,8 +30,6 @@ from tactile_hand_ros.simulation.plant import PlantState, sliding_speeds, true_r
 from tactile_hand_ros.simulation.plant_config import PlantConfig
 from tactile_hand_ros.simulation.plant_run import PlantRun
 from tactile_hand_ros.simulation.skin import TactileReading
-
-Array = NDArray[np.float64]
 
 
 class InProcessHand(Protocol):
