@@ -25,7 +25,7 @@ from tactile_hand_ros.rotations import quaternion_from_rotation
 from tactile_hand_ros.scenario.preflight import check_scenario
 from tactile_hand_ros.scenario.scenario import Scenario
 from tactile_hand_ros.simulation.engines import make_plant
-from tactile_hand_ros.simulation.plant import PlantState, sliding_speeds, true_reading
+from tactile_hand_ros.simulation.plant import PlantState
 from tactile_hand_ros.simulation.skin import TactileReading, TactileSensor
 
 
@@ -103,16 +103,11 @@ class SensingChain(Chain):
         super().__init__(regulator, optimizer, controller)
         self.sensor = sensor
 
-    def sense(
-        self, stamp: int, state: PlantState, true: TactileReading, sliding: Array
-    ) -> tuple[TactileReading, Answer]:
-        """Return the tactile reading at a tick [ns] and the answer to it.
-
-        The sliding speeds of the true contacts have the shape (k,), m/s.
-        """
+    def sense(self, stamp: int, state: PlantState) -> tuple[TactileReading, Answer]:
+        """Return the tactile reading at a tick [ns] and the answer to it."""
         if state.palm is not None:
             self.controller.turn_palm(state.palm)
-        touch = self.sensor.step(stamp, true, sliding, state.joints.theta)
+        touch = self.sensor.step(stamp, state.touch, state.speeds, state.joints.theta)
         return touch, self.answer(stamp, *state.joints, touch.contacts, touch.forces)
 
 
@@ -216,20 +211,18 @@ class ClosedLoop:
         while self._requests and self._requests[0].stamp <= self.stamp:
             self.regulator.request(self._requests.pop(0).force)
         state = self.state
-        true, sliding = true_reading(state), sliding_speeds(state)
-        touch, answer = self.chain.sense(self.stamp, state, true, sliding)
+        touch, answer = self.chain.sense(self.stamp, state)
         record.stamps[row] = self.stamp
         if state.palm is not None:
             record.palm[row] = state.palm
         record.theta[row], record.rates[row], record.torque[row] = state.joints
-        record.contact_positions[row] = touch.positions
-        record.contact_quaternions[row] = touch.quaternions
-        record.forces[row] = touch.forces
+        record.contact_positions[row], record.contact_quaternions[row], record.forces[row] = touch
         record.object_position[row] = state.position
         record.object_quaternion[row] = quaternion_from_rotation(state.rotation)
-        record.true_positions[row], record.true_quaternions[row] = true.positions, true.quaternions
-        record.true_forces[row] = true.forces
-        record.true_sliding[row], record.true_slid[row] = sliding, state.slid
+        true = record.true_positions, record.true_quaternions, record.true_forces
+        for column, value in zip(true, state.touch, strict=True):
+            column[row] = value
+        record.true_sliding[row], record.true_slid[row] = state.speeds, state.slid
         self._write(record, row, answer)
         return answer.command
 

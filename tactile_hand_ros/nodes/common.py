@@ -61,14 +61,7 @@ class ReadingPublisher:
         self._wrenches = WrenchPublishers(node, fingers, wrench_topic)
 
     def publish(self, stamp_ns: int, positions: Array, quaternions: Array, forces: Array) -> None:
-        """Publish a tick.
-
-        Args:
-            stamp_ns: The tick [ns].
-            positions: Contact points in the palm frame [m]. Shape (k, 3).
-            quaternions: Contact frames, order x, y, z, w. Shape (k, 4).
-            forces: Forces on the object in the contact frames [N]. Shape (k, 3).
-        """
+        """Publish the reading of a tick [ns]; see `TactileReading`."""
         self._contacts.publish(positions, quaternions, stamp_ns)
         self._wrenches.publish(stamp_ns, forces)
 

@@ -34,7 +34,7 @@ from tactile_hand_ros.control.margins import SlipMonitor
 from tactile_hand_ros.control.slip.detector import ContactState
 from tactile_hand_ros.control.slip.regulator import SlipRegulator, SlipRegulatorConfig
 from tactile_hand_ros.errors import UnsafeOutputError
-from tactile_hand_ros.nodes.common import ModeLog
+from tactile_hand_ros.nodes.common import ModeLog, WrenchPublishers
 from tactile_hand_ros.nodes.user_changes import AppliedChanges
 from tactile_hand_ros.ros import qos, streams
 from tactile_hand_ros.ros.diagnostics import WARN, Diagnostics, Mostly
@@ -189,11 +189,7 @@ class SlipRegulatorNode(TactileNode[SlipRegulatorConfig]):
         self._grip_publisher = self.tick_publisher(JointState, names.GRIP_STATE, grips)
         margins = JointCodec(fingers, ("position", "effort")).encode
         self._margin_publisher = self.tick_publisher(JointState, names.GRIP_MARGIN, margins)
-        self._load_publishers = [
-            self.tick_publisher(WrenchStamped, names.load(finger), codec.encode)
-            for finger in fingers
-            for codec in [WrenchCodec(names.contact_frame(finger), nan_allowed=True)]
-        ]
+        self._load_publishers = WrenchPublishers(self, fingers, names.load, nan_allowed=True)
         self._encode = WrenchCodec(names.PALM_FRAME).encode
         self._publisher = self.tick_publisher(WrenchStamped, names.GRASP_FORCE, self._encode)
         self._haptic_publisher = self.create_publisher(
@@ -285,8 +281,7 @@ class SlipRegulatorNode(TactileNode[SlipRegulatorConfig]):
             self._grip_publisher.publish(stamp, *state)
             load, friction, reserve = regulator.carried
             self._margin_publisher.publish(stamp, friction, reserve)
-            for publisher, force in zip(self._load_publishers, load.tolist(), strict=True):
-                publisher.publish(force, stamp)
+            self._load_publishers.publish(stamp, load)
             self._publisher.publish((0.0, grasp_force, 0.0), stamp)
             self._changes.take_effect(stamp)
             self._report.note(regulator, stamp, contacts, forces, state)

@@ -5,8 +5,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -102,8 +101,7 @@ class TactileSensorConfig(Config):
     seed: int = param(1, "seed of everything random", ge=0)
 
 
-@dataclass(frozen=True)
-class TactileReading:
+class TactileReading(NamedTuple):
     """A report of the skin, in the form of topics.
 
     Attributes:
@@ -165,10 +163,7 @@ class TactileSensor:
     """
 
     def __init__(
-        self,
-        config: TactileSensorConfig,
-        radii: Array,
-        model: Hand | None = None,
+        self, config: TactileSensorConfig, radii: Array, model: Hand | None = None
     ) -> None:
         """Build the skin of fingertips.
 
@@ -245,16 +240,13 @@ class TactileSensor:
                 earlier = self._unread.standard_normal((unread, k, 3))
                 samples = np.concatenate((earlier, samples))
             white[1] = self._rumble.step(samples)
-        touch = true.positions, true.quaternions, true.forces
         speeds = self._at_rest if sliding is None else sliding
-        numbers, radii = self._numbers, self._radii
-        measured = _measured(self._memory, numbers, radii, *touch, speeds, white, elapsed)
+        skin = self._memory, self._numbers, self._radii
+        measured = _measured(*skin, *true, speeds, white, elapsed)
         last = self._waiting[-1][1] if self._waiting else self._held
         if last is not None and self.config.dropout > 0.0:
             lost = (draws < self.config.dropout)[:, None]
-            before = last.positions, last.quaternions, last.forces
-            merged = (np.where(lost, *pair) for pair in zip(before, measured, strict=True))
-            return TactileReading(*merged)
+            measured = (np.where(lost, *pair) for pair in zip(last, measured, strict=True))
         return TactileReading(*measured)
 
 

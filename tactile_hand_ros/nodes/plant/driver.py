@@ -26,24 +26,21 @@ from tactile_hand_ros.ros.messages import ImuCodec, JointCodec, PoseCodec
 from tactile_hand_ros.ros.node import TactileNode
 from tactile_hand_ros.ros.ticks import SenderCheck, two_senders
 from tactile_hand_ros.rotations import quaternion_from_rotation
-from tactile_hand_ros.simulation.plant import PlantState, sliding_speeds, true_reading
+from tactile_hand_ros.simulation.plant import PlantState
 from tactile_hand_ros.simulation.plant_config import PlantConfig
 from tactile_hand_ros.simulation.plant_run import PlantRun
-from tactile_hand_ros.simulation.skin import TactileReading
 
 
 class InProcessHand(Protocol):
     """The blocks that answer the plant's ticks in its process."""
 
-    def answer(
-        self, stamp: int, state: PlantState, true: TactileReading, sliding: Array
-    ) -> Array | None:
+    def answer(self, stamp: int, state: PlantState) -> Array | None:
         """Return the torque for a tick, shape (m,), N m, or None if there is none."""
 
     def hold(self, held: bool) -> None:
         """Set whether the guard holds the joints."""
 
-    def restart(self) -> None:
+    def on_restart(self) -> None:
         """Start over after time was set back."""
 
 
@@ -82,12 +79,10 @@ class PlantTopics:
         self._hold = node.create_publisher(Bool, names.JOINT_HOLD, latched)
         self._is_held: bool | None = None
 
-    def publish(
-        self, stamp_ns: int, state: PlantState, true: TactileReading, sliding: Array
-    ) -> None:
-        """Publish a tick, with sliding speeds in m/s; start with the topics that nodes wait for."""
-        self._slip_publisher.publish(stamp_ns, state.slid, sliding)
-        self._truth.publish(stamp_ns, true.positions, true.quaternions, true.forces)
+    def publish(self, stamp_ns: int, state: PlantState) -> None:
+        """Publish a tick [ns]; start with the topics that nodes wait for."""
+        self._slip_publisher.publish(stamp_ns, state.slid, state.speeds)
+        self._truth.publish(stamp_ns, *state.touch)
         if self._imu_publisher is not None:
             self._imu_publisher.publish(state.palm, stamp_ns)
         self._joints_publisher.publish(stamp_ns, *state.joints)
@@ -120,11 +115,14 @@ class PlantDriver:
 
     With a hand in the same process, its answer is the command of the tick. A missing answer counts
     as silence of the controller.
+
+    Attributes:
+        hand: A hand in this process that answers the ticks; None if commands are received.
     """
 
     def __init__(self, node: TactileNode[PlantConfig], run: PlantRun) -> None:
         """Create publishers and timers; `begin` starts the run."""
-        self._hand: InProcessHand | None = None
+        self.hand: InProcessHand | None = None
         self._torque: Array | None = None  # the hand's answer to the current tick
         self._node = node
         self._diagnostics = node.diagnostics
@@ -146,10 +144,6 @@ class PlantDriver:
         self._braker.cancel()
         watch = 0.25 * min(c.resend_after, c.command_timeout)
         self._watcher = node.create_timer(watch, self._on_watch)
-
-    def connect(self, hand: InProcessHand) -> None:
-        """Connect a hand in this process that answers the ticks."""
-        self._hand = hand
 
     @property
     def mode(self) -> str:
@@ -214,8 +208,8 @@ class PlantDriver:
         self._run.reset()
         self._is_finished = False
         self._newest_answer = -1
-        if self._hand is not None:
-            self._hand.restart()
+        if self.hand is not None:
+            self.hand.on_restart()
         self.begin()
 
     def command(self, stamp: int, torque: Array, info: Mapping[str, Any] = NO_INFO) -> None:
@@ -320,19 +314,18 @@ class PlantDriver:
         held = self._run.guard.holding
         self._topics.publish_hold(held)
         self._modes.note(self.mode, self._run.reason)
-        if self._hand is not None:
-            self._hand.hold(held)
+        if self.hand is not None:
+            self.hand.hold(held)
 
     def _publish(self) -> None:
         """Publish the current tick, and compute the answer of a hand in this process."""
         state, stamp = self._run.state, self._run.stamp
-        true, sliding = true_reading(state), sliding_speeds(state)
-        self._topics.publish(stamp, state, true, sliding)
+        self._topics.publish(stamp, state)
         self._sent_at = time.monotonic()
         self._diagnostics.tick()
-        if self._hand is None:
+        if self.hand is None:
             return
-        self._torque = self._hand.answer(stamp, state, true, sliding)
+        self._torque = self.hand.answer(stamp, state)
         if not self._is_lockstep:
             self._take_answer()
 

@@ -85,7 +85,7 @@ class PlantNode(TactileNode[PlantConfig]):
 
     def begin(self, hand: InProcessHand) -> None:
         """Start with a hand in this process that answers the ticks."""
-        self._driver.connect(hand)
+        self._driver.hand = hand
         self._driver.begin()
 
     def on_config(self, config: PlantConfig) -> None:
