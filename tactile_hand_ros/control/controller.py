@@ -25,7 +25,6 @@ from tactile_hand_ros.control.holds import (
 from tactile_hand_ros.control.laws import (
     AuxiliaryPose,
     LawConfig,
-    LawFactory,
     LawTorque,
     ManipulationLaw,
     Target,
@@ -208,19 +207,15 @@ class Controller:
         warning: Why a hold could not keep this grasp; empty if it could.
     """
 
-    def __init__(self, config: ControllerConfig, law: LawFactory | None = None) -> None:
+    def __init__(self, config: ControllerConfig) -> None:
         """Build the controller.
-
-        Args:
-            config: Its parameters.
-            law: A law that replaces the one they name.
 
         Raises:
             HandModelError: If the hand cannot be built.
         """
         self.config = config
         self.hand = Hand.load(config.hand, config.layout, np.array(config.gravity))
-        self._law = ManipulationLaw(config.law, self.hand.radii, law)
+        self._law = ManipulationLaw(config.law, self.hand.radii)
         self._reference = SmoothReference()
         self._rates = JointRates(self.hand.joints)
         self._regrasp = Regrasp(config.regrasp, self.hand)

@@ -323,30 +323,23 @@ def _displace(
     elapsed: float,
 ) -> None:
     """Move each contact over its fingertip; point and normal stay those of the sphere (A2)."""
-    frames = rows_of_quaternions(quaternions)
+    frames, follow = rows_of_quaternions(quaternions), c["location_bandwidth"] > 0.0
+    fraction = 1.0 - math.exp(-2.0 * math.pi * c["location_bandwidth"] * elapsed)
     for i in range(len(radii)):
         normal, arm = frames[i, 1::3], np.empty(3)
         for axis in range(3):
             shifted = radii[i] * normal[axis] + c["location_noise"] * white[i, axis]
-            shifted = _rounded(shifted, c["location_resolution"])
-            arm[axis] = _settled(memory[i], c, axis, shifted, elapsed)
+            arm[axis] = _rounded(shifted, c["location_resolution"])
+            before = memory[i]["arm"][axis]
+            if follow and math.isfinite(before):  # a new contact appears immediately
+                arm[axis] = before + fraction * (arm[axis] - before)
+            if follow:
+                memory[i]["arm"][axis] = arm[axis]
         center = positions[i] - radii[i] * normal
         seen = arm / math.sqrt(arm[0] * arm[0] + arm[1] * arm[1] + arm[2] * arm[2])
         positions[i] = center + radii[i] * seen
         frames[i] = contact_frame(seen).reshape(9)
     quaternions[:] = quaternions_of_rows(frames)
-
-
-@compiled
-def _settled(m: Row, c: Row, axis: int, arm: float, elapsed: float) -> float:
-    """Low-pass the place of a contact on its fingertip; a new contact appears immediately."""
-    if c["location_bandwidth"] > 0.0:
-        fraction = 1.0 - math.exp(-2.0 * math.pi * c["location_bandwidth"] * elapsed)
-        before = m["arm"][axis]
-        if math.isfinite(before):
-            arm = before + fraction * (arm - before)
-        m["arm"][axis] = arm
-    return arm
 
 
 @compiled
