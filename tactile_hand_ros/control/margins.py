@@ -170,14 +170,10 @@ class SlipMonitor:
         touch = contacts.positions, contacts.rotations, forces
         noted = _noted(*worst, *touch, learned_friction, grip, likelihood)
         self.load, self.evidence, self.cone, slips = noted
-        self._time(stamp, slips)
-
-    def _time(self, stamp: int, slips: bool) -> None:
-        if not slips:
-            self._since = None
-            return
-        self._since = stamp if self._since is None else self._since
-        self.time_left = min(self.time_left, REACTION - 1e-9 * (stamp - self._since))
+        first = stamp if self._since is None else self._since
+        self._since = first if slips else None
+        if slips:
+            self.time_left = min(self.time_left, REACTION - 1e-9 * (stamp - first))
 
 
 @compiled

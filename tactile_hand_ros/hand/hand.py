@@ -12,12 +12,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from tactile_hand_ros.compiled import Array, compiled
-from tactile_hand_ros.config.hand_config import (
-    Coupling,
-    FingerConfig,
-    HandConfig,
-    load_hand_config,
-)
+from tactile_hand_ros.config.hand_config import Coupling, FingerConfig, HandConfig, load_hand_config
 from tactile_hand_ros.errors import HandModelError
 from tactile_hand_ros.hand.tip_fit import fitted_tips
 from tactile_hand_ros.hand.urdf import describe
@@ -67,13 +62,14 @@ def tip_jacobians(
     return driven
 
 
+@compiled
 def mirrored(upper: Array) -> Array:
-    """Return the symmetric matrix of an upper triangle, shape (m, m).
-
-    Args:
-        upper: Matrix whose upper triangle counts, shape (m, m).
-    """
-    return np.triu(upper) + np.triu(upper, 1).T
+    """Return the symmetric matrix of an upper triangle, shape (m, m)."""
+    out = np.empty(upper.shape)
+    for i in range(len(upper)):
+        for j in range(i, len(upper)):
+            out[i, j] = out[j, i] = upper[i, j]
+    return out
 
 
 class Dynamics(NamedTuple):
@@ -116,7 +112,8 @@ class Hand:
     """A hand with k fingers and m driven joints.
 
     A joint that follows another one, q_i = ratio q_j + offset, is no joint of its own: all angles
-    are q = S theta + offset, so that J = J_q S and M_h = S^T M_q S.
+    are q = S theta + offset, so that J = J_q S and M_h = S^T M_q S. Postures theta and rates are
+    those of the driven joints, shape (m,), rad and rad/s.
 
     Attributes:
         fingers: Number of fingers k.
@@ -265,22 +262,14 @@ class Hand:
         self.model.gravity.linear = gravity
 
     def fingertips(self, theta: Array) -> Fingertips:
-        """Return fingertip centers and Jacobians, equation (1).
-
-        Args:
-            theta: Joint angles, shape (m,), rad.
-        """
+        """Return fingertip centers and Jacobians, equation (1)."""
         pin.computeJointJacobians(self.model, self._data, self.all_angles(theta))
         centers = self._read_centers()
         jacobians = tip_jacobians(self._spatial, self._support, self._coupling, centers)
         return Fingertips(centers, *jacobians)
 
     def tip_positions(self, theta: Array) -> Array:
-        """Return the centers of the fingertips, palm frame, shape (k, 3), m.
-
-        Args:
-            theta: Joint angles, shape (m,), rad.
-        """
+        """Return the centers of the fingertips, palm frame, shape (k, 3), m."""
         pin.forwardKinematics(self.model, self._data, self.all_angles(theta))
         return self._read_centers()
 
@@ -292,24 +281,14 @@ class Hand:
         return out
 
     def dynamics(self, theta: Array, rates: Array) -> Dynamics:
-        """Return fingertips, inertia matrix M_h and bias C_h theta' + N_h of equation (3).
-
-        Args:
-            theta: Joint angles, shape (m,), rad.
-            rates: Joint rates, shape (m,), rad/s.
-        """
+        """Return fingertips, inertia matrix M_h and bias C_h theta' + N_h of equation (3)."""
         raw = self.raw_dynamics(theta, rates)
         jacobians = tip_jacobians(raw.spatial, raw.support, raw.coupling, raw.centers)
         tips = Fingertips(raw.centers, *jacobians)
         return Dynamics(tips, mirrored(raw.inertia), raw.bias.copy())
 
     def raw_dynamics(self, theta: Array, rates: Array) -> RawDynamics:
-        """Return the raw arrays of `dynamics`, which the next call overwrites.
-
-        Args:
-            theta: Joint angles, shape (m,), rad.
-            rates: Joint rates, shape (m,), rad/s.
-        """
+        """Return the raw arrays of `dynamics`, which the next call overwrites."""
         model, data, s = self.model, self._data, self._coupling
         theta, rates = self.all_angles(theta), self._all_rates(rates)
         pin.computeJointJacobians(model, data, theta)
@@ -324,8 +303,8 @@ class Hand:
         """Return the joint torques that balance the turning of the palm, shape (m,), N m.
 
         Args:
-            theta: Joint angles, shape (m,), rad.
-            rates: Joint rates, shape (m,), rad/s.
+            theta: Joint angles.
+            rates: Joint rates.
             spin: Angular velocity of the palm, palm axes, shape (3,), rad/s.
             acceleration: Its angular acceleration, shape (3,), rad/s^2.
         """
@@ -344,47 +323,17 @@ class Hand:
         return np.asarray(self._driven(more[6:]))
 
     def gravity_torque(self, theta: Array) -> Array:
-        """Return the torques that hold the links against gravity, shape (m,), N m.
-
-        Args:
-            theta: Joint angles, shape (m,), rad.
-        """
+        """Return the torques that hold the links against gravity, shape (m,), N m."""
         torque = pin.computeGeneralizedGravity(self.model, self._data, self.all_angles(theta))
         return np.array(self._driven(torque))
 
-    def kinetic_energy(self, theta: Array, rates: Array) -> float:
-        """Return the kinetic energy of the links, J.
-
-        Args:
-            theta: Joint angles, shape (m,), rad.
-            rates: Joint rates, shape (m,), rad/s.
-        """
-        at = self.all_angles(theta), self._all_rates(rates)
-        return float(pin.computeKineticEnergy(self.model, self._data, *at))
-
-    def potential_energy(self, theta: Array) -> float:
-        """Return the potential energy of the links, J.
-
-        Args:
-            theta: Joint angles, shape (m,), rad.
-        """
-        return float(pin.computePotentialEnergy(self.model, self._data, self.all_angles(theta)))
-
     def tip_rotations(self, theta: Array) -> Array:
-        """Return the frames of the tip links, with x along the link, palm frame, shape (k, 3, 3).
-
-        Args:
-            theta: Joint angles, shape (m,), rad.
-        """
+        """Return the tips' frames with x along the link, palm frame, shape (k, 3, 3)."""
         pin.framesForwardKinematics(self.model, self._data, self.all_angles(theta))
         return np.array([self._data.oMf[frame].rotation for frame in self.tip_frames])
 
     def joint_positions(self, theta: Array) -> list[list[Array]]:
-        """Return joint and tip positions along every finger, palm frame, each of shape (3,), m.
-
-        Args:
-            theta: Joint angles, shape (m,), rad.
-        """
+        """Return joint and tip positions along every finger, palm frame, each of shape (3,), m."""
         pin.framesForwardKinematics(self.model, self._data, self.all_angles(theta))
         data = self._data
         chains = ((_chain(self.model, frame), data.oMf[frame]) for frame in self.tip_frames)

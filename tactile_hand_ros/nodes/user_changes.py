@@ -42,12 +42,7 @@ class AppliedChanges:
     """
 
     def __init__(
-        self,
-        node: TactileNode[Any],
-        name: str,
-        *,
-        requests: bool = False,
-        commands: bool = False,
+        self, node: TactileNode[Any], name: str, *, requests: bool = False, commands: bool = False
     ) -> None:
         """Create the publishers; the node's name in topics is defined in `names`."""
         self._name, self._full_name = name, node.get_fully_qualified_name()

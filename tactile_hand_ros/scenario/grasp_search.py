@@ -92,10 +92,7 @@ def expected_friction(friction: float) -> float:
 
 
 def search(
-    hand: Hand,
-    body: ObjectConfig,
-    seed: int = 0,
-    advance: Callable[[str], None] = lambda _: None,
+    hand: Hand, body: ObjectConfig, seed: int = 0, advance: Callable[[str], None] = lambda _: None
 ) -> list[FoundGrasp]:
     """Return the grasps that were found, the one that carries most first.
 

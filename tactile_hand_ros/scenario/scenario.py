@@ -247,9 +247,7 @@ def resolved(scenario: Scenario) -> str:
 
 
 def load_scenario(
-    name: str,
-    changes: Mapping[str, Any] | None = None,
-    options: Mapping[str, str] | None = None,
+    name: str, changes: Mapping[str, Any] | None = None, options: Mapping[str, str] | None = None
 ) -> Scenario:
     """Load a scenario by name or path, and its user law if it names one.
 

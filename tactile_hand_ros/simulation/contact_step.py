@@ -337,13 +337,7 @@ def _moved(position: Array, rotation: Array, h: float, v: Array) -> tuple[Array,
 
 @compiled
 def _response(
-    h: float,
-    now: Motion,
-    world: World,
-    inertia: Array,
-    forces: Array,
-    rotation: Array,
-    rows: Array,
+    h: float, now: Motion, world: World, inertia: Array, forces: Array, rotation: Array, rows: Array
 ) -> tuple[Array, Array]:
     """Return M^-1 A^T, shape (m + 6, 3c), and the velocities without contact, (m + 6,)."""
     m, c = len(now.theta), len(rows)

@@ -20,18 +20,8 @@ from tactile_hand_ros.control.grasp import (
 )
 from tactile_hand_ros.control.loads import CarriedLoad
 from tactile_hand_ros.control.optimizer.cone_optimizer import ConeOptimizer
-from tactile_hand_ros.control.optimizer.cones import (
-    INSIDE,
-    Cones,
-    followed,
-    grasp_frames,
-    reaches,
-)
-from tactile_hand_ros.control.optimizer.quadratic_program import (
-    Problem,
-    QuadraticProgram,
-    Solution,
-)
+from tactile_hand_ros.control.optimizer.cones import INSIDE, Cones, followed, grasp_frames, reaches
+from tactile_hand_ros.control.optimizer.quadratic_program import Problem, QuadraticProgram, Solution
 from tactile_hand_ros.errors import ConfigurationError
 
 _RELAXED = 0.75  # fraction of the grasp force at which f* must hold, so that k_f can fall

@@ -127,8 +127,8 @@ class FrictionEstimator:
         agrees: NDArray[np.bool_],
         fresh: NDArray[np.bool_],
         dt: float,
-    ) -> Array:
-        """Return the estimates after a tick, shape (k,).
+    ) -> None:
+        """Learn from a tick.
 
         Args:
             forces: Measured forces on the object, palm axes, shape (k, 3), N; NaN: none.
@@ -142,7 +142,6 @@ class FrictionEstimator:
         """
         detected = state, suspected, agrees, fresh
         _learn(self._memory, self._row, forces, normals, *detected, dt)
-        return self.estimate
 
 
 @compiled

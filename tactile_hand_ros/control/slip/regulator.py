@@ -125,7 +125,9 @@ class SlipRegulator:
         self._kept: list[tuple[int, Rows]] = []
         self._detector.reset()
         self._estimator.reset()
-        self.carried = self._carried(np.full((self._fingers, 3, 3), np.nan))
+        usable = self.learned_friction / (1.0 + self.config.reflex.margin)
+        unknown = np.full((self._fingers, 3), np.nan)
+        self.carried = CarriedLoad(unknown, usable, self._required.reserve)
 
     def reject_touch(self, rejected: bool) -> None:
         """Ignore touch from the next tick on, or use it again; see `Controller.touch_rejected`.
@@ -228,21 +230,24 @@ class SlipRegulator:
         forces = in_palm(contacts.rotations, measured, 1.0)
         forces[~touching | self._rejected] = np.nan
         learns = not (self._rejected or self._held)
-        if learns:
-            self._keep(stamp)
+        if learns and (not self._kept or stamp - self._kept[-1][0] >= _AGE):
+            # To restore it when touch is rejected.
+            self._kept = [*self._kept[-1:], (stamp, self._estimator.memory)]
         parts, at = self._split(contacts, forces)
         grasped = contacts.enough_touching
         axes = parts.internal if parts is not None and grasped else normals
         seen = forces if learns else np.full_like(forces, np.nan)
         slips, slides = self._watch(seen, normals, axes, fresh, dt)
+        friction = self.learned_friction
+        usable = friction / (1.0 + self.config.reflex.margin)
         self.needed = self.ready = math.nan
         if parts is None:
             self._required.lose()
         else:
-            friction, usable = self.learned_friction, self._usable
             needs = self._required.step(parts, at, friction, usable, dt, grasped=grasped)
             self.needed, self.ready = needs
-        self.carried = self._carried(contacts.rotations)
+        load = np.einsum("kji,kj->ki", contacts.rotations, self._required.load)
+        self.carried = CarriedLoad(load, usable, self._required.reserve)
         if self.config.mode == "user":
             return
         if parts is not None:
@@ -280,15 +285,6 @@ class SlipRegulator:
             self._grasp = None
         return (None if self._grasp is None else parts), normals
 
-    @property
-    def _usable(self) -> Array:
-        """Usable friction: the learned mu less the margin, shape (k,)."""
-        return self.learned_friction / (1.0 + self.config.reflex.margin)
-
-    def _carried(self, rotations: Array) -> CarriedLoad:
-        load = np.einsum("kji,kj->ki", rotations, self._required.load)
-        return CarriedLoad(load, self._usable, self._required.reserve)
-
     def _take_over(self, measured: float) -> None:
         """Start at the measured grasp force, N, if it exceeds the configured one.
 
@@ -297,11 +293,6 @@ class SlipRegulator:
         if not self._has_grasped and measured > self._response.grasp_force:
             self._response.start(min(measured, self.config.maximum))
         self._has_grasped = True
-
-    def _keep(self, stamp: int) -> None:
-        """Keep the friction estimate, to restore it when touch is rejected."""
-        if not self._kept or stamp - self._kept[-1][0] >= _AGE:
-            self._kept = [*self._kept[-1:], (stamp, self._estimator.memory)]
 
     def _watch(
         self, forces: Array, normals: Array, axes: Array, fresh: NDArray[np.bool_], dt: float
