@@ -41,15 +41,7 @@ class Contacts:
 
     @classmethod
     def from_poses(cls, positions: Array, quaternions: Array) -> Contacts:
-        """Build contacts from the poses on a topic.
-
-        Args:
-            positions: Contact points, shape (k, 3), m.
-            quaternions: Contact frames (x, y, z, w), shape (k, 4).
-
-        Returns:
-            The contacts, in the palm frame.
-        """
+        """Return the contacts of positions, (k, 3), m, and quaternions (x, y, z, w), (k, 4)."""
         return cls(positions, rows_of_quaternions(quaternions).reshape(-1, 3, 3))
 
     @cached_property
@@ -68,11 +60,7 @@ class Contacts:
         return bool(self.touching.sum() >= min(MIN_CONTACTS, len(self.positions)))
 
     def part(self, chosen: NDArray[np.bool_]) -> Contacts:
-        """Return the contacts of some fingers.
-
-        Args:
-            chosen: Mask of the fingers, shape (k,).
-        """
+        """Return the contacts of the fingers in a mask of shape (k,)."""
         return self if chosen.all() else Contacts(self.positions[chosen], self.rotations[chosen])
 
     @property

@@ -143,11 +143,7 @@ class Held(NamedTuple):
     grasp_force: float = 0.0
 
     def raised(self, grasp_force: float) -> Held:
-        """Return it with the internal force of a larger k_f, which never falls.
-
-        Args:
-            grasp_force: k_f, N.
-        """
+        """Return it with the internal force of a larger k_f, N, which never falls."""
         if not (self.grasp_force > 0.0 and self.grasp_force < grasp_force < math.inf):
             return self
         factor = grasp_force / self.grasp_force
@@ -219,6 +215,7 @@ class Controller:
         self._reference = SmoothReference()
         self._rates = JointRates(self.hand.joints)
         self._regrasp = Regrasp(config.regrasp, self.hand)
+        self._none = np.zeros(self.hand.joints)
         self.enabled = True
         self.joints_held = False
         self._palm: Array | None = None  # rotation in the world by the imu
@@ -226,11 +223,7 @@ class Controller:
         self.reset()
 
     def configure(self, config: ControllerConfig) -> None:
-        """Change the parameters while running; `hand` and `layout` stay.
-
-        Args:
-            config: The new values.
-        """
+        """Change the parameters while running; `hand` and `layout` stay."""
         self.config = config
         self._law.configure(config.law)
 
@@ -282,19 +275,10 @@ class Controller:
             self._posture = theta.copy()
         if mode in (Mode.OPEN, Mode.DISABLED):
             self._accept_inputs()
-            self._held = self._nothing
-
-    @property
-    def _nothing(self) -> Held:
-        """Torques of an open or disabled hand: zero."""
-        return Held(np.zeros(self.hand.joints), np.zeros(self.hand.joints))
+            self._held = Held(self._none, self._none)
 
     def turn_palm(self, orientation: Array) -> None:
-        """Turn gravity with the palm.
-
-        Args:
-            orientation: Quaternion (x, y, z, w) of the palm in the world, shape (4,).
-        """
+        """Turn gravity with the palm, whose quaternion (x, y, z, w) in the world is given."""
         self._palm = rotation_from_quaternion(orientation)
         self.hand.gravity = self._palm.T @ np.array(self.config.gravity)
 
@@ -412,7 +396,10 @@ class Controller:
         pose = self._law.auxiliary_pose(tips, now.contacts)
         self._grasp = Grasp(now.theta, contacts, pose)
         refused = self.targets.take_due(now.stamp, self._grasp)
-        wanted = self._way_to_target(pose, now.elapsed)
+        assert self.targets.target is not None
+        self._law.acts = not self.joints_held
+        passed = 0.0 if self.joints_held else now.elapsed  # the reference waits
+        wanted = self._reference.step(self.targets.target, pose, self.config.reference_time, passed)
         refused = self._stopped(now, pose) or refused
         self._fit(now)
         parts = self._law_torque(now, tips, wanted, pose)
@@ -485,13 +472,6 @@ class Controller:
         tips, problem = self._inputs.step(now.stamp, now.theta, now.rates, *seen)
         self.touch_rejected = bool(problem)
         return tips, problem or self._implausible(now.optimal_forces, now.grasp_force)
-
-    def _way_to_target(self, pose: AuxiliaryPose, dt: float) -> Target:
-        """Return the pose on the way to the target for this tick."""
-        assert self.targets.target is not None
-        self._law.acts = not self.joints_held
-        passed = 0.0 if self.joints_held else dt  # the reference waits
-        return self._reference.step(self.targets.target, pose, self.config.reference_time, passed)
 
     def _stopped(self, now: _Tick, pose: AuxiliaryPose) -> str:
         """Return why the grasp stops here; empty if it moves on."""
@@ -567,18 +547,16 @@ class Controller:
             return self._disabled(theta, rates)
         self._enter(Mode.HOLD, theta)
         held = self._kept(theta, applied, grasp_force)
-        rest = _sum(held.load + self._spring(theta, rates), self._weight(theta))
+        rest = held.load + self._spring(theta, rates) + self._weight(theta)
         fraction = bearable_fraction(held.internal, rest, self.hand.effort_limits)
         return Command(fraction * held.internal + rest, Mode.HOLD, None, reason)
 
     def _kept(self, theta: Array, applied: Array | None, grasp_force: float) -> Held:
         """Return the torques to keep, for a k_f in N and the torques since the last tick."""
         if self._held is None:
-            kept = self._nothing
             if applied is None or not applied.any() or not all_finite(applied):
-                return kept  # still unknown
-            weight = self._weight(theta)
-            self._held = kept._replace(internal=applied if weight is None else applied - weight)
+                return Held(self._none, self._none)  # still unknown
+            self._held = Held(applied - self._weight(theta), self._none)
         self._held = self._held.raised(grasp_force)
         return self._held
 
@@ -661,7 +639,7 @@ class Controller:
         else:  # that of a hold
             self._posture = theta
             torque = self._spring(theta, rates)
-        torque = _sum(torque, self._weight(theta))
+        torque = torque + self._weight(theta)
         return Command(torque, Mode.DISABLED, None, "disabled by the user")
 
     def _regrasped(self, contacts: Contacts) -> bool:
@@ -687,7 +665,7 @@ class Controller:
     def _open(self, theta: Array, rates: Array, contacts: Contacts, dt: float) -> Command:
         self._enter(Mode.OPEN, theta)
         self._posture = self._regrasp.posture(contacts, dt)
-        torque = _sum(self._spring(theta, rates), self._weight(theta))
+        torque = self._spring(theta, rates) + self._weight(theta)
         reason = self._regrasp.missed or "released by the user"
         return Command(torque, Mode.OPEN, None, reason)
 
@@ -721,13 +699,13 @@ class Controller:
             return torque
         return torque + 0.5 * self._period / dt * (torque - last)
 
-    def _bearable(self, parts: LawTorque, weight: Array | None) -> Array:
+    def _bearable(self, parts: LawTorque, weight: Array) -> Array:
         """Return the torques of a law and of the links' weight within the limits, (m,), N m.
 
         Internal force and load come first and keep their direction, then the drive. Damping takes
         the rest, joint by joint.
         """
-        limits, carried = self.hand.effort_limits, _sum(parts.load_compensation, weight)
+        limits, carried = self.hand.effort_limits, parts.load_compensation + weight
         fraction = bearable_fraction(parts.internal, carried, limits)
         internal = parts.internal if fraction == 1.0 else fraction * parts.internal
         torque = internal + carried
@@ -736,10 +714,6 @@ class Controller:
         torque = torque + drive + parts.damping
         return np.asarray(np.minimum(np.maximum(torque, -limits), limits))
 
-    def _weight(self, theta: Array) -> Array | None:
-        """Return the torques that carry the links, shape (m,), N m; None without compensation."""
-        return self.hand.gravity_torque(theta) if self.config.gravity_compensation else None
-
-
-def _sum(torque: Array, weight: Array | None) -> Array:
-    return torque if weight is None else torque + weight
+    def _weight(self, theta: Array) -> Array:
+        """Return the torques that carry the links, shape (m,), N m; zero without compensation."""
+        return self.hand.gravity_torque(theta) if self.config.gravity_compensation else self._none

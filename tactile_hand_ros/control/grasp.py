@@ -137,11 +137,7 @@ def _solve_spread(scatter: Array, right: Array) -> tuple[float, float, float]:
 
 @compiled
 def centered(points: Array) -> Array:
-    """Return the arms p_c,i - centroid, shape (k, 3), m.
-
-    Args:
-        points: Contact points p_c, shape (k, 3), m.
-    """
+    """Return the arms p_c,i - centroid of points p_c, both of shape (k, 3), m."""
     return points - centroid(points)
 
 
@@ -211,10 +207,7 @@ def check_joints(hand_jacobian: Array, minimum: float = 1e-3) -> None:
 
 
 def check_spread(points: Array) -> None:
-    """Check assumption A7: contacts that are not on one line, or the two of a gripper.
-
-    Args:
-        points: Contact points, shape (k, 3), m.
+    """Check assumption A7: points, shape (k, 3), m, that are not on one line, or two.
 
     Raises:
         CollinearContactsError: If they are.
@@ -365,13 +358,7 @@ def _frame_of_plane(points: Array) -> tuple[Array, float]:
 
 @compiled
 def turned_frame(before: Array, frame: Array, after: Array) -> Array:
-    """Return a frame that has turned with centered points, shape (3, 3).
-
-    Args:
-        before: Points when they had the frame, shape (k, 3), m.
-        frame: The frame, shape (3, 3).
-        after: The points now, shape (k, 3), m.
-    """
+    """Return a frame that has turned with centered points, (k, 3), m, since `before`."""
     return best_rotation(before, after) @ frame
 
 

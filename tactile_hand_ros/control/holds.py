@@ -212,11 +212,7 @@ class FittedGains(NamedTuple):
     largest: float
 
     def at(self, grasp_force: float) -> tuple[Array, Array]:
-        """Return K_c, shape (m, m), N m s/rad, and K_p, shape (6, 6), N/m and N m/rad.
-
-        Args:
-            grasp_force: k_f, N.
-        """
+        """Return K_c, shape (m, m), N m s/rad, and K_p, shape (6, 6), of a k_f in N."""
         w = min(self.largest, max(self.quietest, self.needed * grasp_force))
         return self.rest + w * self.damping, w * self.stiffness
 
@@ -315,12 +311,9 @@ def largest_stiffness(
 
 
 def motions_of_object(hand: Hand, theta: Array, contacts: Contacts) -> int:
-    """Return in how many directions of 6 the joints move the object while all contacts hold.
+    """Return in how many directions of 6 the joints, at theta, move the object.
 
-    Args:
-        hand: The hand.
-        theta: Joint angles, shape (m,), rad.
-        contacts: Contacts with the object; all fingers must touch.
+    All contacts hold, and all fingers touch.
     """
     twists = _motions(hand, hand.fingertips(theta), contacts)[-6:]
     return int(np.linalg.matrix_rank(twists, tol=_INDEPENDENT)) if twists.size else 0
@@ -414,13 +407,7 @@ class GuardHold:
     """
 
     def __init__(self, config: GuardHoldConfig, hand: Hand, tick: float) -> None:
-        """Build the hold.
-
-        Args:
-            config: Stiffness, braking and internal force.
-            hand: Model of the hand, with gravity.
-            tick: Time between two calls of `step`, s.
-        """
+        """Build the hold of a hand with gravity; `tick` is the time between two steps, s."""
         self._config, self._hand, self._tick = config, hand, tick
 
     def engage(self, theta: Array, rates: Array, pressed: Array) -> None:
@@ -533,12 +520,7 @@ def tip_forces(tips: Fingertips, torque: Array) -> Array:
 
 
 def joint_torque(tips: Fingertips, forces: Array) -> Array:
-    """Return the joint torques of forces at the tip centers, shape (m,), N m.
-
-    Args:
-        tips: Fingertip centers and Jacobians.
-        forces: In palm axes, shape (k, 3), N.
-    """
+    """Return the joint torques, (m,), N m, of forces, (k, 3), N, at the tip centers."""
     return np.asarray(np.einsum("kim,ki->m", tips.linear, forces))
 
 

@@ -31,22 +31,12 @@ TIP = np.array([1.0, 0.0, 0.0])
 
 
 def local_normals(normals: Array, tips: Array) -> Array:
-    """Return contact normals in the frames of their fingertips, shape (..., k, 3).
-
-    Args:
-        normals: Contact normals in the palm frame, shape (..., k, 3).
-        tips: Frames of the fingertips in the palm frame, shape (..., k, 3, 3).
-    """
+    """Return palm-frame normals, (..., k, 3), in the frames of their tips, (..., k, 3, 3)."""
     return np.asarray(np.einsum("...ji,...j->...i", tips, normals))
 
 
 def angles_between(a: Array, b: Array) -> Array:
-    """Return the angles between unit vectors, shape (...), rad.
-
-    Args:
-        a: Unit vectors, shape (..., 3).
-        b: Unit vectors in the same frame, shape (..., 3).
-    """
+    """Return the angles between unit vectors of shape (..., 3), shape (...), rad."""
     return np.asarray(np.arccos(np.clip((a * b).sum(axis=-1), -1.0, 1.0)))
 
 

@@ -44,11 +44,7 @@ def implausible_touch(tips: Fingertips, contacts: Contacts, radii: Array, allowe
 
 
 def implausible_shape(optimal_forces: Array) -> str:
-    """Return why f* cannot be a solution of (13); empty if it may be one.
-
-    Args:
-        optimal_forces: f* in contact frames, shape (k, 3).
-    """
+    """Return why f*, shape (k, 3), cannot solve (13); empty if it may."""
     total = float(optimal_forces[:, 1].sum())
     if math.fabs(total - 1.0) <= _SUM:
         return ""
@@ -163,7 +159,9 @@ class ForceTorqueCheck:
         if 1e-9 * (stamp - self._started) < limits.latency:  # forces may belong to earlier torques
             measured = self._pressed
         self._measured = self._measured + fraction * (measured - self._measured)
-        self._remember(stamp, limits.latency)
+        self._past.append((stamp, self._pressed))  # at which the forces may have been measured
+        while 1e-9 * (stamp - self._past[0][0]) > limits.latency:
+            self._past.popleft()
         noise = own @ np.abs(inertia) @ np.broadcast_to(limits.rates, rates.shape) / COMPARISON_TIME
         noise = noise + self._swung * self._turning(palm, dt)
         self._noise = np.maximum(noise, (1.0 - fraction) * self._noise)
@@ -172,12 +170,6 @@ class ForceTorqueCheck:
         if self._is_frozen(stamp, tips, own, forces, limits.latency):
             return "the forces of a finger do not change although its torques do; holding"
         return ""
-
-    def _remember(self, stamp: int, latency: float) -> None:
-        """Keep the torques of the times at which the forces may have been measured."""
-        self._past.append((stamp, self._pressed))
-        while 1e-9 * (stamp - self._past[0][0]) > latency:
-            self._past.popleft()
 
     def _fits(self, pressed: Array, own: NDArray[np.bool_], tolerance: float) -> bool:
         """Return whether the measured forces agree with torques of one time, shape (m,), N m.

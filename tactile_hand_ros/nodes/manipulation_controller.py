@@ -66,8 +66,8 @@ class ControllerReport:
         self, command: Command, theta: Array | None = None, contacts: Contacts | None = None
     ) -> None:
         """Record an answer with its joints and contacts, None if they were missing."""
-        last, self._last, self._contacts = self._last, command, contacts
-        self._theta = theta
+        last, self._last = self._last, command
+        self._theta, self._contacts = theta, contacts
         if last is not None and (command.mode, command.reason) == (last.mode, last.reason):
             return
         self._modes.note(command.mode.value, command.reason)
@@ -85,16 +85,14 @@ class ControllerReport:
     def report(self, target: Target | None) -> None:
         """Add mode, distance to the target and margins of the grasp to the diagnostics."""
         put, last = self._node.diagnostics.value, self._last
-        if last is not None:
-            put("mode", last.mode.value)
-        if last is not None and last.pose is not None and target is not None:
+        if last is None:
+            return
+        put("mode", last.mode.value)
+        if last.pose is not None and target is not None:
             error = float(np.linalg.norm(target.position - last.pose.position))
             put("position_error_m", error)
-        if self._contacts is None or self._theta is None:
-            if last is None:
-                return
-            margins = UNKNOWN_MARGINS
-        else:
+        margins = UNKNOWN_MARGINS
+        if self._contacts is not None and self._theta is not None:
             margins = self._watch.margins(self._theta, self._contacts)
         put("A1 face_travel_m", margins.face_travel)
         put("A2 hemisphere_margin_rad", margins.hemisphere)
@@ -157,18 +155,15 @@ class ManipulationControllerNode(TactileNode[ControllerConfig]):
         self._tick: int | None = None
         self._time_waits, self._is_unsent, self._is_limited = time_waits, False, False
         self._answer: tuple[int, Command] | None = None
-        self._changes = AppliedChanges(self, names.CONTROLLER, requests=True, commands=True)
+        self._changes = AppliedChanges(self, names.CONTROLLER, commands=True)
         self._changes.begin(self.config)
         self._changes.state("enable", True)
         hand = self._controller.hand
         self._limits = hand.effort_limits
         torques, self._encode_pose = JointCodec(hand.joint_names, ("effort",)), PoseCodec().encode
-        self._command_publisher = self.tick_publisher(
-            JointState, names.JOINT_COMMAND, torques.encode
-        )
-        self._pose_publisher = self.tick_publisher(
-            PoseStamped, names.AUXILIARY_POSE, self._encoded_pose
-        )
+        publisher = self.tick_publisher
+        self._command_publisher = publisher(JointState, names.JOINT_COMMAND, torques.encode)
+        self._pose_publisher = publisher(PoseStamped, names.AUXILIARY_POSE, self._encoded_pose)
         # Created first, so that a waiting pose is handled before a waiting tick.
         self._desired = DesiredPoses(self, self._controller, lambda: self._tick)
         self._rejection = self.create_publisher(Bool, names.TOUCH_REJECTED, qos.latched_qos())
@@ -285,10 +280,8 @@ class ManipulationControllerNode(TactileNode[ControllerConfig]):
             response.success, response.message = False, str(error)
             return response
         self._changes.request("grasp", request.data)
-        if request.data and not self._controller.is_open:
-            response.success, response.message = True, "the hand is not open"
-        else:
-            response.success, response.message = True, "closing" if request.data else "opening"
+        closing = "closing" if self._controller.is_open else "the hand is not open"
+        response.success, response.message = True, closing if request.data else "opening"
         return response
 
     def on_tick(

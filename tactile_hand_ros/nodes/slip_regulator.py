@@ -175,7 +175,7 @@ class SlipRegulatorNode(TactileNode[SlipRegulatorConfig]):
         super().__init__("slip_regulator", SlipRegulatorConfig, **kwargs)
         fingers = load_hand_config(self.config.hand).finger_names
         self._regulator = SlipRegulator(self.config, len(fingers))
-        self._changes = AppliedChanges(self, names.REGULATOR, requests=True, commands=True)
+        self._changes = AppliedChanges(self, names.REGULATOR, commands=True)
         self._report = RegulatorReport(self.diagnostics, fingers)
         self._modes = ModeLog(self.get_logger().info)
         self._modes.note(self.config.mode)

@@ -32,12 +32,9 @@ class PlantRun:
         self.guard = CommandGuard(config.guard, self.plant.model, config.tick, config.step)
         self._tick = config.tick
         self._end = round(config.duration * config.rate) * config.tick
-        self._load_compiled_code()
-        self.reset()
-
-    def _load_compiled_code(self) -> None:
-        """Step once, so that the first ticks are not late."""
+        # One step loads the compiled code, so that the first ticks are not late.
         self.plant.drive(lambda since, theta, rates: self.guard.step(since, theta, rates, None))
+        self.reset()
 
     def reset(self) -> None:
         """Go back to the start, at stamp 0 and without torque."""
@@ -46,10 +43,6 @@ class PlantRun:
         self.stamp = 0
         self._command: TorqueCommand | None = None
         self._refused = ""
-
-    def configure(self, config: PlantConfig) -> None:
-        """Change friction and mass of the object, also for the time after a reset."""
-        self.plant.configure(config)
 
     @property
     def is_last(self) -> bool:

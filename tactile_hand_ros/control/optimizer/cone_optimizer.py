@@ -61,11 +61,6 @@ class ConeOptimizer:
         return found.x[:-1].reshape(-1, 3).copy(), found.residual
 
 
-def _cone_rows(contact: int, contacts: int) -> slice:
-    first = contacts + 1 + SIDES * contact
-    return slice(first, first + SIDES)
-
-
 def _fixed_rows(k: int) -> Array:
     """Return the rows of -f_n <= -minimum, -t <= 0 and the cones, without friction."""
     n = 3 * k
@@ -73,7 +68,7 @@ def _fixed_rows(k: int) -> Array:
     rows[np.arange(k), 1 + 3 * np.arange(k)] = -1.0
     rows[k, n] = -1.0
     for i in range(k):
-        cone = _cone_rows(i, k)
+        cone = slice(k + 1 + SIDES * i, k + 1 + SIDES * (i + 1))
         rows[cone, 3 * i : 3 * i + 3 : 2] = DIRECTIONS
         rows[cone, n] = -1.0
     return rows

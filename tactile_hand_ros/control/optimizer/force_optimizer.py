@@ -60,10 +60,7 @@ class ForceOptimizerConfig(Config):
     )
 
     def weight_vector(self, fingers: int) -> Array:
-        """Return the diagonal of W, shape (3 k,).
-
-        Args:
-            fingers: Number of contacts k.
+        """Return the diagonal of W of k contacts, shape (3 k,).
 
         Raises:
             ConfigurationError: If the number of weights does not fit or one is not positive.
@@ -78,10 +75,7 @@ class ForceOptimizerConfig(Config):
         return np.tile(given, fingers) if len(given) == 3 else given
 
     def check_minimum(self, fingers: int) -> None:
-        """Check that the minimum normal forces leave a force to distribute.
-
-        Args:
-            fingers: Number of contacts k.
+        """Check that the minimum normal forces of k contacts leave a force to distribute.
 
         Raises:
             ConfigurationError: If they add up to the grasp force or more.
@@ -161,9 +155,6 @@ class ForceOptimizer:
 
     def configure(self, config: ForceOptimizerConfig) -> None:
         """Change the weights or limits, and set up the problem again.
-
-        Args:
-            config: The new values.
 
         Raises:
             ConfigurationError: If they do not fit; then the old ones stay.

@@ -200,21 +200,12 @@ class SlipResponse:
     """
 
     def __init__(self, config: SlipResponseConfig, grasp_force: float) -> None:
-        """Start at a grasp force.
-
-        Args:
-            config: Its parameters.
-            grasp_force: k_f, N.
-        """
+        """Start at a k_f in N."""
         self.config = config
         self.start(grasp_force)
 
     def start(self, grasp_force: float) -> None:
-        """Continue without a grasp.
-
-        Args:
-            grasp_force: k_f to continue from, N.
-        """
+        """Continue from a k_f in N without a grasp."""
         self.grasp_force = self._settled = grasp_force
         self._calm_for = self._grown = 0.0
         self._whole = False

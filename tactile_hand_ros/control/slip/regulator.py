@@ -82,12 +82,7 @@ class SlipRegulator:
     """
 
     def __init__(self, config: SlipRegulatorConfig, fingers: int) -> None:
-        """Start at the configured grasp force.
-
-        Args:
-            config: Its parameters.
-            fingers: Number of fingers k.
-        """
+        """Start at the configured grasp force of a hand with k fingers."""
         self.config, self._fingers = config, fingers
         self._detector = SlipDetector(config.detector, fingers)
         self._estimator = FrictionEstimator(config.friction, fingers)
@@ -130,11 +125,7 @@ class SlipRegulator:
         self.carried = CarriedLoad(unknown, usable, self._required.reserve)
 
     def reject_touch(self, rejected: bool) -> None:
-        """Ignore touch from the next tick on, or use it again; see `Controller.touch_rejected`.
-
-        Args:
-            rejected: Whether to ignore it.
-        """
+        """Ignore touch from the next tick on, or use it again; see `Controller.touch_rejected`."""
         if rejected and not self._rejected:
             self._forget_slips()
             self._required.reset()

@@ -225,12 +225,15 @@ class PlantDriver:
         if stamp <= self._answered:
             return
         self._answered = stamp
-        if self._is_too_old(stamp):
-            self._too_old += 1
+        c = self._config
+        if not self._is_lockstep and run.stamp - stamp > c.guard.age_limit * c.tick:
+            self._too_old += 1  # the guard would reject it
             return
         self._answered_at = time.monotonic()
         if run.refusing:
-            self._resume()
+            run.release()
+            if self._is_lockstep:
+                self._let_time_pass(False)
         self._diagnostics.clear("state")
         if self._is_lockstep and stamp < run.stamp:
             return  # the controller is back; its answer to the current tick follows
@@ -265,11 +268,6 @@ class PlantDriver:
             if before < 0 or (stands and stamp == now):
                 self._node.publish_diagnostics()
 
-    def _is_too_old(self, stamp: int) -> bool:
-        """Return whether the guard would reject a command by its age; never in lockstep."""
-        c = self._config
-        return not self._is_lockstep and self._run.stamp - stamp > c.guard.age_limit * c.tick
-
     def _hold(self, reason: str) -> None:
         """Hold the joints regardless of commands, while time follows the wall clock."""
         if not self._run.refusing:
@@ -277,12 +275,6 @@ class PlantDriver:
             self._is_answered = False
             if self._is_lockstep:
                 self._let_time_pass(True)
-
-    def _resume(self) -> None:
-        """Accept commands again."""
-        self._run.release()
-        if self._is_lockstep:
-            self._let_time_pass(False)
 
     def _let_time_pass(self, passes: bool) -> None:
         self._pace.start()
@@ -301,8 +293,10 @@ class PlantDriver:
                 return
             try:
                 self._run.advance()
-            except DivergedError as error:
-                self._stop(str(error))
+            except DivergedError as error:  # there is no valid state to continue from
+                self._is_on = False
+                self._let_time_pass(False)
+                self._announce(f"{error} (~/reset, then ~/run)", ERROR)
                 return
         if self._is_single:
             self._is_single = self._is_on = False
@@ -341,12 +335,6 @@ class PlantDriver:
             self._take_answer()
         return self._torque is not None
 
-    def _stop(self, reason: str) -> None:
-        """Stop time, because there is no valid state to continue from or to publish."""
-        self._is_on = False
-        self._let_time_pass(False)
-        self._announce(f"{reason} (~/reset, then ~/run)", ERROR)
-
     def _finish(self) -> None:
         self._is_finished = True
         self._let_time_pass(False)
@@ -359,8 +347,7 @@ class PlantDriver:
         self._node.publish_diagnostics()
 
     def _on_pace(self) -> None:
-        due = self._pace.due()
-        if due:
+        if due := self._pace.due():
             self._advance(due)
 
     def _on_watch(self) -> None:
@@ -374,19 +361,15 @@ class PlantDriver:
             run.hold(_LEFT)
         if run.refusing or not self._waits or self._torque is not None or self._is_answered:
             return
-        if now - self._answered_at >= c.command_timeout:
-            self._on_long_silence()
+        silence = f"no usable joint_command for {c.command_timeout:g} s"
+        if now - self._answered_at >= c.command_timeout and run.commanded:
+            self._hold(f"{silence}, expected one for each tick")
+        elif now - self._answered_at >= c.command_timeout:
+            self._diagnostics.fault("state", f"{silence}, waiting at the first tick", WARN)
         if not run.refusing and now - self._sent_at >= c.resend_after:
             self._topics.repeat()
             self._sent_at = now
             self._resent += 1
-
-    def _on_long_silence(self) -> None:
-        text = f"no usable joint_command for {self._config.command_timeout:g} s"
-        if self._run.commanded:
-            self._hold(f"{text}, expected one for each tick")
-        else:
-            self._diagnostics.fault("state", f"{text}, waiting at the first tick", WARN)
 
     def to_safe_state(self, reason: str) -> None:
         """Hold the joints after an unexpected error, until the next valid command."""

@@ -90,7 +90,7 @@ class PlantNode(TactileNode[PlantConfig]):
 
     def on_config(self, config: PlantConfig) -> None:
         """Apply a changed friction, mass or speed."""
-        self._run.configure(config)
+        self._run.plant.configure(config)
         self._driver.limit_speed(config.speed)
 
     def to_safe_state(self, reason: str) -> None:
