@@ -19,7 +19,7 @@ from tactile_hand_ros.errors import DivergedError
 from tactile_hand_ros.report.page import Result
 from tactile_hand_ros.rotations import rotation_from_quaternion
 from tactile_hand_ros.scenario.scenario import load_scenario
-from tactile_hand_ros.simulation.engines import make_plant
+from tactile_hand_ros.simulation.mujoco_plant import make_plant
 from tactile_hand_ros.simulation.plant import PlantState
 from tactile_hand_ros.simulation.plant_config import Disturbance, ObjectConfig, PlantConfig
 

@@ -18,7 +18,7 @@ from tactile_hand_ros.errors import ConfigurationError, GraspError, TactileHandE
 from tactile_hand_ros.hand.hand import Hand
 from tactile_hand_ros.scenario.link_collisions import LinkCollisions
 from tactile_hand_ros.scenario.scenario import Scenario
-from tactile_hand_ros.simulation.engines import make_plant
+from tactile_hand_ros.simulation.mujoco_plant import make_plant
 from tactile_hand_ros.simulation.plant import Plant
 
 _HULL_EXCESS = 0.03  # of the volume of a mesh; 500 corners of a ball lack 1 %

@@ -253,3 +253,12 @@ def _add_shape(mj: Any, spec: Any, body: Any, config: ObjectConfig) -> None:
 def _quaternion(rotation: Array) -> Array:
     """Return the quaternion of a rotation, shape (3, 3), in the order of MuJoCo: w, x, y, z."""
     return np.roll(quaternion_from_rotation(rotation), 1)
+
+
+def make_plant(config: PlantConfig) -> Plant:
+    """Return a plant with the physics engine of its parameters; see `Plant` for its errors.
+
+    Raises:
+        MissingLibraryError: If that engine is not installed.
+    """
+    return MujocoPlant(config) if config.engine == "mujoco" else Plant(config)

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from tactile_hand_ros.compiled import Array
 from tactile_hand_ros.control.command_guard import CommandGuard, TorqueCommand
-from tactile_hand_ros.simulation.engines import make_plant
+from tactile_hand_ros.simulation.mujoco_plant import make_plant
 from tactile_hand_ros.simulation.plant_config import PlantConfig
 
 PUSH_LASTS = 200_000_000

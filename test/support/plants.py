@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from support.equations import hand_jacobian
 from support.hands import kinetic_energy, potential_energy
-from tactile_hand_ros.simulation.engines import make_plant
+from tactile_hand_ros.simulation.mujoco_plant import make_plant
 from tactile_hand_ros.simulation.plant import Plant, PlantState
 from tactile_hand_ros.simulation.plant_config import PlantConfig
 
