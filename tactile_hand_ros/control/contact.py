@@ -108,15 +108,9 @@ def _touching(positions: Array, rotations: Array) -> NDArray[np.bool_]:
 
 @compiled
 def contact_frame(normal: Array) -> Array:
-    """Return the contact frame of a normal, with t_x = n x t_z.
+    """Return R_C = [t_x, n, t_z], shape (3, 3), of a unit normal n into the object, palm frame.
 
     t_z is palm z projected on the face, or palm x if that projection is shorter than 1e-3.
-
-    Args:
-        normal: Unit normal into the object, palm frame, shape (3,).
-
-    Returns:
-        R_C = [t_x, n, t_z], shape (3, 3).
     """
     return face_frame(normal, (0.0, 0.0, 1.0), (1.0, 0.0, 0.0))
 
@@ -178,13 +172,7 @@ def hand_jacobian(tips: Fingertips, points: Array, frames: Array) -> Array:
 
 @compiled
 def in_palm(rotations: Array, forces: Array, scale: float) -> Array:
-    """Return forces in palm axes, shape (k, 3), N.
-
-    Args:
-        rotations: Contact frames, shape (k, 3, 3).
-        forces: Forces in contact frames, shape (k, 3), N.
-        scale: Factor of the forces.
-    """
+    """Return forces of contact frames, shape (k, 3), times a factor, in palm axes."""
     out = np.empty_like(forces)
     for i in range(len(forces)):
         r, f = rotations[i], forces[i]
@@ -221,16 +209,9 @@ def joint_torques(
     return out
 
 
-_RADIUS = 0.05  # m
-
-
 def example_touch(fingers: int) -> tuple[Contacts, Array]:
-    """Return contacts around a cylinder, and forces on it in contact frames, shape (k, 3), N.
-
-    Args:
-        fingers: Number of contacts k.
-    """
+    """Return contacts of k fingers around a cylinder, and forces in contact frames, N."""
     angles = 2.0 * np.pi * np.arange(fingers) / fingers
     outward = np.stack([np.cos(angles), np.sin(angles), np.zeros(fingers)], axis=1)
     frames = np.array([contact_frame(normal) for normal in -outward])
-    return Contacts(_RADIUS * outward, frames), np.tile([0.0, 1.0, 0.0], (fingers, 1))
+    return Contacts(0.05 * outward, frames), np.tile([0.0, 1.0, 0.0], (fingers, 1))

@@ -145,11 +145,8 @@ def centered(points: Array) -> Array:
 def collinearity_margin(points: Array) -> float:
     """Return the margin of assumption A7: 0 for contacts on a line, 1 for an even spread.
 
-    It is the ratio of the second to the first singular value of p_c,i - centroid, and 1 for two
-    contacts, which no third one has to complete.
-
-    Args:
-        points: Contact points p_c, shape (k, 3), m.
+    It is the ratio of the second to the first singular value of p_c,i - centroid of points of shape
+    (k, 3), m, and 1 for two contacts, which no third one has to complete.
     """
     return _margin(centered(points))
 
@@ -174,10 +171,8 @@ def _margin(arms: Array) -> float:
 def joint_margin(hand_jacobian: Array) -> float:
     """Return the margin of assumption A5: the smallest singular value of J_h, in m/rad.
 
-    Directions in which a finger cannot move, for want of joints, do not count.
-
-    Args:
-        hand_jacobian: Shape (3k, m) or (k, 3, m).
+    J_h has the shape (3k, m) or (k, 3, m). Directions in which a finger cannot move, for want of
+    joints, do not count.
     """
     joints = hand_jacobian.shape[-1]
     stacked = hand_jacobian.reshape(-1, joints)
@@ -219,11 +214,8 @@ def check_spread(points: Array) -> None:
 def required_friction(forces: Array) -> Array:
     """Return beta_i = sqrt(f_x^2 + f_z^2) / f_n, the friction coefficient that each contact needs.
 
-    Args:
-        forces: Contact forces on the object in C_i (y is the normal), shape (k, 3), N.
-
-    Returns:
-        Shape (k,); infinite for a tangential force without a normal force, 0 without a force.
+    Forces in C_i have the shape (k, 3), N. The result of shape (k,) is infinite for a tangential
+    force without a normal force, and 0 without a force.
     """
     tangential = np.hypot(forces[..., 0], forces[..., 2])
     normal = forces[..., 1]
@@ -364,11 +356,7 @@ def turned_frame(before: Array, frame: Array, after: Array) -> Array:
 
 @compiled
 def best_rotation(before: Array, after: Array) -> Array:
-    """Return the rotation that best maps centered points to others, shape (3, 3).
-
-    Args:
-        before: Points, shape (k, 3), m.
-        after: Their images, shape (k, 3), m.
+    """Return the rotation, (3, 3), that best maps centered points, (k, 3), m, to their images.
 
     Source: Kabsch 1976; of a reflection the direction of the smallest extent is reversed.
     """

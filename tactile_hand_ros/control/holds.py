@@ -146,11 +146,7 @@ def _quietest(hand: Hand, inertia: Array, error: float) -> float:
 def spring(inertia: Array, w: float, away: Array, rates: Array) -> Array:
     """Return M_h (w^2 away + 2 w rates), shape (m,), N m, finite for any finite input.
 
-    Args:
-        inertia: M_h, shape (m, m).
-        w: Bandwidth, rad/s.
-        away: Posture to hold less joint angles, shape (m,), rad.
-        rates: Rates of that posture less those of the joints, shape (m,), rad/s.
+    `away` and `rates` are the posture to hold less that of the joints, rad, and its rates, rad/s.
     """
     away = np.clip(away, -_MAX_OFFSET, _MAX_OFFSET)
     rates = np.clip(rates, -_MAX_RATE, _MAX_RATE)
@@ -272,17 +268,11 @@ def fitted_gains(
 def largest_damping(
     hand: Hand, theta: Array, contacts: Contacts, body: Array, tick: float
 ) -> float:
-    """Return the joint damping K_c, N m s/rad, above which a grasp oscillates.
+    """Return the joint damping K_c, N m s/rad, above which a grasp at theta oscillates.
 
-    A torque -K_c theta' that is held for a tick T reverses the rates if K_c T / M_h > 2, in motions
-    that keep the contacts.
-
-    Args:
-        hand: The hand.
-        theta: Joint angles, shape (m,), rad.
-        contacts: Contacts with the object; all fingers must touch.
-        body: Inertia of the object, linear above angular, palm axes, shape (6, 6).
-        tick: T, s.
+    A torque -K_c theta' that is held for a tick of T s reverses the rates if K_c T / M_h > 2, in
+    motions that keep the contacts. All fingers touch. `body` is the inertia of the object, linear
+    above angular, palm axes, shape (6, 6).
     """
     joints, twists = np.split(_motions(hand, hand.fingertips(theta), contacts), [hand.joints])
     inertia = joints.T @ hand.dynamics(theta, np.zeros(hand.joints)).inertia @ joints
@@ -295,15 +285,8 @@ def largest_stiffness(
 ) -> tuple[float, float]:
     """Return k_p, N/m, and k_o, N m/rad, above which the delay of their torque cancels the damping.
 
-    A force -k x that is d late lowers the damping by k d: k d < D, with the minimum damping D of
-    the grasp in any direction.
-
-    Args:
-        hand: The hand.
-        theta: Joint angles, shape (m,), rad.
-        contacts: Contacts with the object; all fingers must touch.
-        damping: K_c, N m s/rad.
-        late: d, s.
+    A force -k x that is d s late lowers the damping by k d: k d < D, with the minimum damping D of
+    the grasp at theta in any direction, from K_c in N m s/rad. All fingers touch.
     """
     rates = _rates_of_twists(_motions(hand, hand.fingertips(theta), contacts))
     linear, angular = (np.linalg.svd(part, compute_uv=False)[-1] for part in np.split(rates, 2, 1))
@@ -506,13 +489,9 @@ class GuardHold:
 
 
 def tip_forces(tips: Fingertips, torque: Array) -> Array:
-    """Return the forces at the tip centers that balance a joint torque, shape (k, 3), N.
+    """Return tip forces, shape (k, 3), N, that balance a joint torque tau, shape (m,), N m.
 
     The least-squares solution of J_i^T f_i = tau, exact for fingers with three joints.
-
-    Args:
-        tips: Fingertip centers and Jacobians.
-        torque: tau, shape (m,), N m.
     """
     rows = tips.linear.reshape(-1, tips.linear.shape[-1])
     forces = np.linalg.lstsq(rows.T, torque, rcond=1e-6)[0]
@@ -525,12 +504,9 @@ def joint_torque(tips: Fingertips, forces: Array) -> Array:
 
 
 def split_forces(forces: Array) -> tuple[Array, Array]:
-    """Return the sum of tip forces, the load, shape (3,), N, and the forces less their mean.
+    """Return the load, the sum of tip forces of shape (k, 3), N, and the forces less their mean.
 
     Torques on the object cannot be separated from the internal force without the contacts.
-
-    Args:
-        forces: At the tips, palm axes, shape (k, 3), N.
     """
     load = forces.sum(axis=0)
     return load, forces - load / len(forces)

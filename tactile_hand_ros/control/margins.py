@@ -41,11 +41,9 @@ def angles_between(a: Array, b: Array) -> Array:
 
 
 def cone_distances(forces: Array, learned_friction: Array) -> Array:
-    """Return the distance of each force inside its friction cone, mu f_n - |f_t|, N.
+    """Return the distances of forces inside friction cones, mu f_n - |f_t|, shape (..., k), N.
 
-    Args:
-        forces: Contact forces in contact frames, shape (..., k, 3), N.
-        learned_friction: mu, shape (..., k).
+    Forces in contact frames have the shape (..., k, 3), N, and the learned mu (..., k).
     """
     tangential = np.hypot(forces[..., 0], forces[..., 2])
     return np.asarray(learned_friction * forces[..., 1] - tangential)

@@ -29,11 +29,8 @@ _SUM = 1e-3  # largest error of sum f*_n = 1
 def implausible_touch(tips: Fingertips, contacts: Contacts, radii: Array, allowed: Array) -> str:
     """Return why contacts and joints disagree; empty if they do not.
 
-    Args:
-        tips: Fingertips of the measured posture.
-        contacts: Contact points and frames; all must touch.
-        radii: Radii of the fingertips, shape (k,), m.
-        allowed: Largest distances of the contacts from their fingertips, shape (k,), m.
+    All fingers touch. Their radii and the largest distances of the contacts from their tips have
+    the shape (k,), m.
     """
     off = contacts.positions - tips.positions - radii[:, None] * contacts.normals
     gaps = np.sqrt((off * off).sum(axis=1))
@@ -162,7 +159,7 @@ class ForceTorqueCheck:
         self._past.append((stamp, self._pressed))  # at which the forces may have been measured
         while 1e-9 * (stamp - self._past[0][0]) > limits.latency:
             self._past.popleft()
-        noise = own @ np.abs(inertia) @ np.broadcast_to(limits.rates, rates.shape) / COMPARISON_TIME
+        noise = own @ np.abs(inertia) @ np.full(rates.shape, limits.rates) / COMPARISON_TIME
         noise = noise + self._swung * self._turning(palm, dt)
         self._noise = np.maximum(noise, (1.0 - fraction) * self._noise)
         if not any(self._fits(past, own, limits.force) for _, past in reversed(self._past)):

@@ -258,16 +258,10 @@ def _solved(
 
 @compiled
 def _soften(delassus: Array, before: Array, start: Array, softness: float) -> None:
-    """Put implicit springs into the contacts, in place.
+    """Put implicit springs of a compliance / h^2, 1/kg, into W and the velocities, in place.
 
     The gap after the step is -compliance p_n / h. Tangential impulses change by springs from those
-    of the last step, so that the velocities of the solution are those of slip alone.
-
-    Args:
-        delassus: W, shape (dc, dc), 1/kg.
-        before: Velocities without impulses, shape (dc,), m/s.
-        start: Impulses of the last step, shape (c, d), N s.
-        softness: Normal compliance over h^2, 1/kg.
+    of the last step, shape (c, d), so that the velocities of the solution are those of slip alone.
     """
     c, d = start.shape
     for i in range(c):

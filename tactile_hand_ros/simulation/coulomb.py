@@ -198,8 +198,7 @@ def _without_gain(laws: _Laws, p: Array) -> Array:
 def _residual(laws: _Laws, p: Array) -> float:
     """Return the largest violation of the laws, per largest velocity without impulses.
 
-    It measures velocities where contacts stick and impulses where they are open, so that large
-    values of one do not hide the other.
+    Velocities count where contacts stick and impulses where they are open.
     """
     return float(np.abs(_violation(laws, p, 1.0)).max())
 

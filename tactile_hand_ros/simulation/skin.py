@@ -165,12 +165,9 @@ class TactileSensor:
     def __init__(
         self, config: TactileSensorConfig, radii: Array, model: Hand | None = None
     ) -> None:
-        """Build the skin of fingertips.
+        """Build the skin of fingertips with radii, shape (k,), m.
 
-        Args:
-            config: Its parameters.
-            radii: Radii of the fingertips, shape (k,), m.
-            model: The hand of the controllers; only needed with a wrong calibration.
+        The model of the controllers is only needed with a wrong calibration.
         """
         self._radii = np.asarray(radii, dtype=float)
         self._model = None if config.calibration.is_right else model
@@ -357,14 +354,9 @@ class BandNoise:
     def __init__(
         self, shape: tuple[int, int], low: float, high: float, rate: float, bandwidth: float
     ) -> None:
-        """Start at rest; frequencies are limited to half the rate.
+        """Start silently, for noise of a shape (n, m) from `low` to `high`, Hz, at a rate in Hz.
 
-        Args:
-            shape: Shape of a sample.
-            low: Lower edge of the band, Hz.
-            high: Upper edge of the band, Hz.
-            rate: Samples per second, Hz.
-            bandwidth: Corner frequency of the next low-pass, 0 for none, Hz.
+        The bandwidth is the corner frequency of the next low-pass, 0 for none, Hz.
         """
         nyquist = 0.5 * rate
         self._pass = 1.0 - math.exp(-2.0 * math.pi * min(high, nyquist) / rate)

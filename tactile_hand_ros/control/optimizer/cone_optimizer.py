@@ -50,12 +50,7 @@ class ConeOptimizer:
         self._program = QuadraticProgram(example, exact)
 
     def solve(self, balance: Array, cones: Cones) -> tuple[Array, float]:
-        """Return f*, shape (k, 3), and the residual of the optimality conditions.
-
-        Args:
-            balance: G~^T for forces in contact frames, shape (3k, 6).
-            cones: Usable friction and load of the contacts.
-        """
+        """Return f*, shape (k, 3), for G~^T, shape (3k, 6), and the residual of its optimality."""
         problem = _with_numbers(self._fixed, balance, cones.usable_friction, cones.goal)
         found = self._program.solve(problem)
         return found.x[:-1].reshape(-1, 3).copy(), found.residual

@@ -65,13 +65,7 @@ class Cones:
 
 @compiled
 def cone_margin(forces: Array, load: Array, usable_friction: Array) -> float:
-    """Return the minimum mu f_n - |f_t| of forces and load, in their unit.
-
-    Args:
-        forces: In contact frames, shape (k, 3).
-        load: In contact frames, shape (k, 3).
-        usable_friction: mu, shape (k,).
-    """
+    """Return the minimum mu f_n - |f_t| of forces and load in contact frames, in their unit."""
     minimum = np.inf
     for i in range(len(forces)):
         x, n, z = forces[i] + load[i]

@@ -138,11 +138,7 @@ class ForceOptimizer:
     """
 
     def __init__(self, config: ForceOptimizerConfig, fingers: int) -> None:
-        """Set up the problem.
-
-        Args:
-            config: Weights, limits and solver.
-            fingers: Number of contacts k.
+        """Set up the problem of k contacts.
 
         Raises:
             ConfigurationError: If the weights do not fit.
@@ -349,10 +345,6 @@ def scaled_balance(points: Array, rotations: Array) -> Array:
 
     Its torques are divided by the size of the grasp, so that all rows have one magnitude. This does
     not change G~ f = 0.
-
-    Args:
-        points: Contact points in the palm frame, shape (k, 3), m.
-        rotations: Contact frames, shape (k, 3, 3).
     """
     arms = centered(points)
     arms /= math.sqrt((arms * arms).sum() / len(points))

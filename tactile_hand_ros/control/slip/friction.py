@@ -77,12 +77,7 @@ class FrictionEstimator:
     """
 
     def __init__(self, config: FrictionConfig, contacts: int) -> None:
-        """Start from the prior.
-
-        Args:
-            config: Its parameters.
-            contacts: Number of contacts k.
-        """
+        """Start k contacts from the prior."""
         self._memory: Rows = np.zeros(contacts, _MEMORY)
         self.configure(config)
         self.reset()

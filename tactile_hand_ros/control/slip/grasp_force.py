@@ -43,13 +43,7 @@ class RequiredGraspForce:
     """
 
     def __init__(self, config: ReserveConfig, contacts: int, finger_weight: float) -> None:
-        """Start without a grasp.
-
-        Args:
-            config: The reserve.
-            contacts: Number of contacts k.
-            finger_weight: Weight of a finger, N.
-        """
+        """Start without a grasp of k contacts; the weight of a finger is in N."""
         self._memory: Rows = np.zeros(contacts, _MEMORY)
         self._weight = finger_weight
         self.configure(config)

@@ -163,10 +163,7 @@ class SlipRegulator:
         return self._estimator.estimate
 
     def request(self, grasp_force: float) -> None:
-        """Request a grasp force for the user.
-
-        Args:
-            grasp_force: k_f, N.
+        """Request a k_f in N for the user.
 
         Raises:
             MessageError: If it is outside the limits or not a number.
