@@ -61,16 +61,7 @@ class Chain:
         contacts: Contacts,
         forces: Array,
     ) -> Answer:
-        """Return the answer to a tick.
-
-        Args:
-            stamp: The tick [ns].
-            theta: Joint angles, shape (m,), rad.
-            rates: Joint rates, shape (m,), rad/s.
-            applied: Torques since the previous tick, shape (m,), N m; None if unknown.
-            contacts: Measured contacts in the palm frame.
-            forces: Measured forces in contact frames, shape (k, 3), N.
-        """
+        """Return the answer to a tick [ns]; see `Controller.step` for joints and touch."""
         grasp_force = self.regulator.step(stamp, contacts, forces)
         optimal = self.optimizer.step(stamp, contacts, self.regulator.carried, grasp_force)
         command = self.controller.step(

@@ -306,13 +306,7 @@ class Controller:
         self.targets.command(target, stamp, self._last_stamp, self._grasp)
 
     def schedule(self, target: Target, stamp: int, *, judged: bool) -> None:
-        """Queue a desired pose as `command` does, without checking its reach now.
-
-        Args:
-            target: The pose.
-            stamp: First tick at which it is due, ns; zero or a past one means now.
-            judged: Whether its reach was checked; otherwise it is checked when it is due.
-        """
+        """Queue a desired pose as `command` does; `judged` is whether its reach was checked."""
         self.targets.schedule(target, stamp, self._last_stamp, judged=judged)
 
     def release(self) -> None:

@@ -144,15 +144,9 @@ class SlipMonitor:
         grip: NDArray[np.int_],
         likelihood: Array,
     ) -> None:
-        """Update the margins with a tick.
+        """Update the margins with a tick, ns, its contacts, and measured forces, (k, 3), N.
 
-        Args:
-            stamp: The tick, ns.
-            contacts: Contacts by touch.
-            forces: Measured forces in contact frames, shape (k, 3), N.
-            learned_friction: Learned mu, shape (k,).
-            grip: `ContactState` of each contact, shape (k,).
-            likelihood: Evidence for slip, 0 to 1, shape (k,).
+        The learned mu, the `ContactState` and the evidence for slip, 0 to 1, have the shape (k,).
         """
         worst = self.load, self.evidence, self.cone
         touch = contacts.positions, contacts.rotations, forces

@@ -241,15 +241,8 @@ class InputCheck:
     ) -> tuple[Fingertips, str]:
         """Return the fingertips, and why joints and touch disagree; empty if they do not.
 
-        Args:
-            stamp: The tick, ns.
-            theta: Joint angles, shape (m,), rad.
-            rates: Joint rates, shape (m,), rad/s.
-            contacts: Contact points and frames; all must touch.
-            limits: Largest differences.
-            pressing: Measured forces in contact frames, shape (k, 3), N, and the torques applied
-                since the last tick, shape (m,), N m; None to compare neither.
-            palm: Rotation of the palm in the world, shape (3, 3); None if unknown.
+        All fingers touch. `pressing` are the measured forces and the applied torque, None to
+        compare neither; for these and the rest see `ForceTorqueCheck.step`.
         """
         problem = ""
         if pressing is None:

@@ -146,7 +146,7 @@ class TargetQueue:
         """Queue a desired pose, and check it now if there is a grasp and time for it.
 
         Args:
-            target: Desired pose of the contact centroid's virtual frame, palm frame.
+            target: The pose.
             stamp: First tick at which it is due, ns; zero or a past one means now.
             now: The last tick, ns; None before the first.
             grasp: The last grasp; None before the first.
@@ -179,12 +179,8 @@ class TargetQueue:
     def take_due(self, stamp: int, grasp: Grasp) -> str:
         """Make the newest due pose the target; return why it was rejected, empty if it was not.
 
-        Without a target the grasp stays where it was first seen. A tick has time to check one
-        pose. If it is rejected, older ones follow in the next tick.
-
-        Args:
-            stamp: The tick, ns.
-            grasp: The grasp in this tick.
+        Without a target the grasp stays where it was first seen. A tick has time to check one pose.
+        If it is rejected, older ones follow in the next tick.
         """
         if self.target is None:
             self.stay(grasp.pose)

@@ -11,8 +11,9 @@ from geometry_msgs.msg import PoseArray, WrenchStamped
 
 from tactile_hand_ros import names
 from tactile_hand_ros.compiled import Array
-from tactile_hand_ros.ros.messages import ContactsCodec, WrenchCodec
+from tactile_hand_ros.ros.messages import ContactsCodec, PoseCodec, WrenchCodec
 from tactile_hand_ros.ros.node import TactileNode
+from tactile_hand_ros.rotations import quaternion_from_rotation
 
 _MAXIMUM = 5
 """Maximum number of lines per second; further changes are not logged."""
@@ -43,6 +44,14 @@ class ModeLog:
         self._lines += 1
         if self._lines <= _MAXIMUM:
             self._log(f"{before} -> {mode}" + (f": {reason}" if reason else ""))
+
+
+def rotated_pose_encoder() -> Callable[[Array, Array, int], bytes]:
+    """Return an encoder of a position, a rotation matrix and a stamp [ns] as a pose."""
+    encode = PoseCodec().encode
+    return lambda position, rotation, stamp: encode(
+        position, quaternion_from_rotation(rotation), stamp
+    )
 
 
 class ReadingPublisher:

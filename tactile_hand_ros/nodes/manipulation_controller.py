@@ -26,22 +26,21 @@ from tactile_hand_ros import names
 from tactile_hand_ros.compiled import Array
 from tactile_hand_ros.control.contact import Contacts, example_touch
 from tactile_hand_ros.control.controller import Command, Controller, ControllerConfig, Mode
-from tactile_hand_ros.control.laws import AuxiliaryPose, Target
+from tactile_hand_ros.control.laws import Target
 from tactile_hand_ros.control.margins import UNKNOWN_MARGINS, GraspMonitor
 from tactile_hand_ros.errors import ConfigurationError, GraspError
 from tactile_hand_ros.hand.hand import Hand
-from tactile_hand_ros.nodes.common import ModeLog
+from tactile_hand_ros.nodes.common import ModeLog, rotated_pose_encoder
 from tactile_hand_ros.nodes.desired_poses import DesiredPoses
 from tactile_hand_ros.nodes.user_changes import AppliedChanges
 from tactile_hand_ros.own_law import take_law
 from tactile_hand_ros.ros import qos, streams
 from tactile_hand_ros.ros.diagnostics import WARN
 from tactile_hand_ros.ros.endpoints import TickFailedError
-from tactile_hand_ros.ros.messages import JointCodec, Joints, PoseCodec, check_output
+from tactile_hand_ros.ros.messages import JointCodec, Joints, check_output
 from tactile_hand_ros.ros.node import TactileNode
 from tactile_hand_ros.ros.runner import run_node
 from tactile_hand_ros.ros.ticks import TickInputs
-from tactile_hand_ros.rotations import quaternion_from_rotation
 
 _AT_LIMIT = "a joint is at the effort limit of the URDF; lower the grasp force or the gains"
 
@@ -160,10 +159,10 @@ class ManipulationControllerNode(TactileNode[ControllerConfig]):
         self._changes.state("enable", True)
         hand = self._controller.hand
         self._limits = hand.effort_limits
-        torques, self._encode_pose = JointCodec(hand.joint_names, ("effort",)), PoseCodec().encode
+        torques, pose = JointCodec(hand.joint_names, ("effort",)).encode, rotated_pose_encoder()
         publisher = self.tick_publisher
-        self._command_publisher = publisher(JointState, names.JOINT_COMMAND, torques.encode)
-        self._pose_publisher = publisher(PoseStamped, names.AUXILIARY_POSE, self._encoded_pose)
+        self._command_publisher = publisher(JointState, names.JOINT_COMMAND, torques)
+        self._pose_publisher = publisher(PoseStamped, names.AUXILIARY_POSE, pose)
         # Created first, so that a waiting pose is handled before a waiting tick.
         self._desired = DesiredPoses(self, self._controller, lambda: self._tick)
         self._rejection = self.create_publisher(Bool, names.TOUCH_REJECTED, qos.latched_qos())
@@ -395,11 +394,8 @@ class ManipulationControllerNode(TactileNode[ControllerConfig]):
         self._command_publisher.publish(stamp, torque)
         self._changes.take_effect(stamp)
         if command.pose is not None:
-            self._pose_publisher.publish(command.pose, stamp)
+            self._pose_publisher.publish(*command.pose, stamp)
         return command
-
-    def _encoded_pose(self, pose: AuxiliaryPose, stamp: int) -> bytes:
-        return self._encode_pose(pose.position, quaternion_from_rotation(pose.orientation), stamp)
 
     def _limited(self, torque: Array) -> Array:
         """Clip a torque to the joints' effort limits, and warn if it exceeds them."""

@@ -18,14 +18,13 @@ from tactile_hand_ros.cdr import clock_bytes
 from tactile_hand_ros.compiled import Array
 from tactile_hand_ros.errors import DivergedError
 from tactile_hand_ros.hand.hand import Hand
-from tactile_hand_ros.nodes.common import ModeLog, ReadingPublisher
+from tactile_hand_ros.nodes.common import ModeLog, ReadingPublisher, rotated_pose_encoder
 from tactile_hand_ros.nodes.plant.real_time import Brake, Pace
 from tactile_hand_ros.ros import qos
 from tactile_hand_ros.ros.diagnostics import ERROR, OK, WARN
-from tactile_hand_ros.ros.messages import ImuCodec, JointCodec, PoseCodec
+from tactile_hand_ros.ros.messages import ImuCodec, JointCodec
 from tactile_hand_ros.ros.node import TactileNode
 from tactile_hand_ros.ros.ticks import SenderCheck, two_senders
-from tactile_hand_ros.rotations import quaternion_from_rotation
 from tactile_hand_ros.simulation.plant import PlantState
 from tactile_hand_ros.simulation.plant_config import PlantConfig
 from tactile_hand_ros.simulation.plant_run import PlantRun
@@ -68,10 +67,8 @@ class PlantTopics:
         imu = ImuCodec().encode
         self._imu_publisher = node.tick_publisher(Imu, names.IMU, imu) if turns else None
         self._awaited = tuple(node.tick_publishers)
-        self._encode_pose = PoseCodec().encode
-        self._pose_publisher = node.tick_publisher(
-            PoseStamped, names.OBJECT_POSE, self._encoded_pose
-        )
+        pose = rotated_pose_encoder()
+        self._pose_publisher = node.tick_publisher(PoseStamped, names.OBJECT_POSE, pose)
         self._clock_publisher = node.tick_publisher(Clock, names.CLOCK, clock_bytes)
         latched = qos.latched_qos()
         self._description = node.create_publisher(String, names.ROBOT_DESCRIPTION, latched)
@@ -88,9 +85,6 @@ class PlantTopics:
         self._joints_publisher.publish(stamp_ns, *state.joints)
         self._pose_publisher.publish(state.position, state.rotation, stamp_ns)
         self._clock_publisher.publish(stamp_ns)
-
-    def _encoded_pose(self, position: Array, rotation: Array, stamp_ns: int) -> bytes:
-        return self._encode_pose(position, quaternion_from_rotation(rotation), stamp_ns)
 
     def publish_hold(self, is_held: bool) -> None:
         """Publish whether the joints are held, if that has changed."""
