@@ -338,13 +338,11 @@ class ManipulationLaw:
     def _carried(self, contacts: Contacts, forces: Array | None, dt: float) -> Array | None:
         """Return the wrench of integral and observer, shape (6,), or None while both are off."""
         c = self.config
-        observes = c.observer.time > 0.0 and forces is not None
-        if not observes:
-            return self._integral if self._integrates else None
-        assert forces is not None
-        # What a guard carries is to be carried from the first tick that acts again.
-        passed = dt if self.acts else np.inf
-        return self._integral + self._observer.step(c.observer, contacts, forces, passed)
+        if c.observer.time > 0.0 and forces is not None:
+            # What a guard carries is to be carried from the first tick that acts again.
+            passed = dt if self.acts else np.inf
+            return self._integral + self._observer.step(c.observer, contacts, forces, passed)
+        return self._integral if self._integrates else None
 
     def _integrate(self, error: Array, pull: Array, dt: float) -> None:
         """Integrate the error; force and torque are each held inside their limit (anti-windup).

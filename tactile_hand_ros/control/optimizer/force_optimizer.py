@@ -255,13 +255,15 @@ class ForceOptimizer:
         points, rotations = contacts.positions, contacts.rotations
         if self._k == 2:
             return self._opposed(points, rotations)
-        problem, balance, margin = _balance_problem(self._fixed, points, rotations)
-        if margin < MIN_COLLINEARITY_MARGIN:
+        if collinearity_margin(points) < MIN_COLLINEARITY_MARGIN:
             return self._without_answer(
                 Status.COLLINEAR,
                 "the contacts lie on one line, no moment about it can balance (A7)",
             )
-        found = self._program.solve(problem)
+        balance = scaled_balance(points, rotations)
+        equal = self._fixed.equal.copy()
+        equal[:6] = balance.T
+        found = self._program.solve(self._fixed._replace(equal=equal))
         if not found.residual < _MAX_RESIDUAL:
             self._shape = None
             return self._unsolved(found)
@@ -349,14 +351,3 @@ def scaled_balance(points: Array, rotations: Array) -> Array:
     arms = centered(points)
     arms /= math.sqrt((arms * arms).sum() / len(points))
     return grasp_map(arms, rotations).T
-
-
-@compiled
-def _balance_problem(
-    fixed: Problem, points: Array, rotations: Array
-) -> tuple[Problem, Array, float]:
-    """Return (13) with the balance of these contacts, G~^T and the collinearity margin."""
-    balance, equal = scaled_balance(points, rotations), fixed.equal.copy()
-    equal[:6] = balance.T
-    problem = Problem(fixed.weights, fixed.price, equal, fixed.right, fixed.rows, fixed.bounds)
-    return problem, balance, collinearity_margin(points)

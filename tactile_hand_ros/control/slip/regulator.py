@@ -238,8 +238,11 @@ class SlipRegulator:
         self.carried = CarriedLoad(load, usable, self._required.reserve)
         if self.config.mode == "user":
             return
-        if parts is not None:
-            self._take_over(parts.grasp_force)
+        if parts is not None and not self._has_grasped:
+            # Another regulator may have crashed with the object in the hand.
+            if parts.grasp_force > self._response.grasp_force:
+                self._response.start(min(parts.grasp_force, self.config.maximum))
+            self._has_grasped = True
         limit = self.config.maximum
         goal = max(self.needed, min(self.ready, _RESERVED * limit))
         known = touching | (grasped and parts is not None)  # the others hold without it
@@ -272,15 +275,6 @@ class SlipRegulator:
         if parts.margin < _CLEAR_MARGIN or (grasped and parts.grasp_force <= 0.0):
             self._grasp = None
         return (None if self._grasp is None else parts), normals
-
-    def _take_over(self, measured: float) -> None:
-        """Start at the measured grasp force, N, if it exceeds the configured one.
-
-        Another regulator may have crashed with the object in the hand.
-        """
-        if not self._has_grasped and measured > self._response.grasp_force:
-            self._response.start(min(measured, self.config.maximum))
-        self._has_grasped = True
 
     def _watch(
         self, forces: Array, normals: Array, axes: Array, fresh: NDArray[np.bool_], dt: float
