@@ -9,6 +9,7 @@ and records it. A process with several nodes runs the same chains, with a node a
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -37,20 +38,19 @@ class Answer(NamedTuple):
     command: Command
 
 
+@dataclass
 class Chain:
     """From joints and touch to torques: regulator, optimizer and controller.
 
     Attributes:
-        regulator: Computes k_f.
+        regulator: Computes k_f; this and the others may be nodes that wrap the blocks.
         optimizer: Computes f*.
         controller: Computes the torques.
     """
 
-    def __init__(
-        self, regulator: SlipRegulator, optimizer: ForceOptimizer, controller: Controller
-    ) -> None:
-        """Wire the blocks, or nodes that wrap them."""
-        self.regulator, self.optimizer, self.controller = regulator, optimizer, controller
+    regulator: SlipRegulator
+    optimizer: ForceOptimizer
+    controller: Controller
 
     def answer(
         self,
@@ -76,6 +76,7 @@ class Chain:
         self.regulator.joints_held = self.controller.joints_held
 
 
+@dataclass
 class SensingChain(Chain):
     """From true contacts to torques: the simulated skin, followed by a `Chain`.
 
@@ -83,16 +84,7 @@ class SensingChain(Chain):
         sensor: The skin.
     """
 
-    def __init__(
-        self,
-        sensor: TactileSensor,
-        regulator: SlipRegulator,
-        optimizer: ForceOptimizer,
-        controller: Controller,
-    ) -> None:
-        """Wire the blocks, or nodes that wrap them."""
-        super().__init__(regulator, optimizer, controller)
-        self.sensor = sensor
+    sensor: TactileSensor
 
     def sense(self, stamp: int, state: PlantState) -> tuple[TactileReading, Answer]:
         """Return the tactile reading at a tick [ns] and the answer to it."""
@@ -104,12 +96,11 @@ class SensingChain(Chain):
 
 def sensing_chain(scenario: Scenario, hand: Hand) -> SensingChain:
     """Build the blocks of a scenario for the nominal hand of its controllers."""
-    c = scenario.tactile_sensor
     return SensingChain(
-        TactileSensor(c, hand.radii, hand),
         SlipRegulator(scenario.slip_regulator, hand.fingers),
         ForceOptimizer(scenario.force_optimizer, hand.fingers),
         Controller(scenario.manipulation_controller),
+        TactileSensor(scenario.tactile_sensor, hand.radii, hand),
     )
 
 

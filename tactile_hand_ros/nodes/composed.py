@@ -70,7 +70,7 @@ class ComposedHand(_Wired):
     def __init__(self, *nodes: TactileNode[Any]) -> None:
         """Wire the nodes."""
         super().__init__(*nodes)
-        self._chain = SensingChain(*cast(Any, nodes))
+        self._chain = SensingChain(*cast(Any, (*nodes[1:], nodes[0])))
         self._last: tuple[int, Array | None] = -1, None
 
     def answer(self, stamp: int, state: PlantState) -> Array | None:

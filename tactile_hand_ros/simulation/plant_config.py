@@ -227,7 +227,7 @@ class PlantConfig(Config):
     @property
     def steps_per_tick(self) -> int:
         """Number of integration steps in one tick."""
-        return max(1, round(1.0 / (self.rate * self.time_step)))
+        return round(1.0 / (self.rate * self.time_step))
 
     @property
     def step(self) -> int:

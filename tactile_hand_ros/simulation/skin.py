@@ -243,7 +243,8 @@ class TactileSensor:
         last = self._waiting[-1][1] if self._waiting else self._held
         if last is not None and self.config.dropout > 0.0:
             lost = (draws < self.config.dropout)[:, None]
-            measured = (np.where(lost, *pair) for pair in zip(last, measured, strict=True))
+            pairs = zip(last, measured, strict=True)
+            return TactileReading(*(np.where(lost, *pair) for pair in pairs))
         return TactileReading(*measured)
 
 
