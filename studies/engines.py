@@ -19,8 +19,8 @@ from tactile_hand_ros.errors import DivergedError
 from tactile_hand_ros.report.page import Result
 from tactile_hand_ros.rotations import rotation_from_quaternion
 from tactile_hand_ros.scenario.scenario import load_scenario
-from tactile_hand_ros.simulation.engines import make_plant
-from tactile_hand_ros.simulation.plant import PlantState, sliding_speeds
+from tactile_hand_ros.simulation.mujoco_plant import make_plant
+from tactile_hand_ros.simulation.plant import PlantState
 from tactile_hand_ros.simulation.plant_config import Disturbance, ObjectConfig, PlantConfig
 
 Array = NDArray[np.float64]
@@ -141,7 +141,7 @@ def _pull_at_slip(engine: str, friction: float) -> float:
     while len(normals) < 1000.0 * push.duration:
         state = advance()
         normals.append(float(state.forces[:, 1].sum()))
-        if sliding_speeds(state).min() > _SLIDING:
+        if state.speeds.min() > _SLIDING:
             pull = largest * push.factor(1e-3 * len(normals))
             return pull * _NORMAL / float(np.mean(normals[-100:]))
     return float("nan")

@@ -184,7 +184,7 @@ class FaultyChain(SensingChain):
         controller: Any = _Controller(blocks.controller, wires, scenario)
         regulator: Any = _Regulator(blocks.regulator, wires)
         optimizer: Any = _Optimizer(blocks.optimizer, wires)
-        super().__init__(blocks.sensor, regulator, optimizer, controller)
+        super().__init__(regulator, optimizer, controller, blocks.sensor)
         self.plugged, self._carry = controller, wires.carry
 
     def answer(

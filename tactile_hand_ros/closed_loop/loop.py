@@ -9,6 +9,7 @@ and records it. A process with several nodes runs the same chains, with a node a
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -24,8 +25,8 @@ from tactile_hand_ros.hand.hand import Hand
 from tactile_hand_ros.rotations import quaternion_from_rotation
 from tactile_hand_ros.scenario.preflight import check_scenario
 from tactile_hand_ros.scenario.scenario import Scenario
-from tactile_hand_ros.simulation.engines import make_plant
-from tactile_hand_ros.simulation.plant import PlantState, sliding_speeds, true_reading
+from tactile_hand_ros.simulation.mujoco_plant import make_plant
+from tactile_hand_ros.simulation.plant import PlantState
 from tactile_hand_ros.simulation.skin import TactileReading, TactileSensor
 
 
@@ -37,20 +38,19 @@ class Answer(NamedTuple):
     command: Command
 
 
+@dataclass
 class Chain:
     """From joints and touch to torques: regulator, optimizer and controller.
 
     Attributes:
-        regulator: Computes k_f.
+        regulator: Computes k_f; this and the others may be nodes that wrap the blocks.
         optimizer: Computes f*.
         controller: Computes the torques.
     """
 
-    def __init__(
-        self, regulator: SlipRegulator, optimizer: ForceOptimizer, controller: Controller
-    ) -> None:
-        """Wire the blocks, or nodes that wrap them."""
-        self.regulator, self.optimizer, self.controller = regulator, optimizer, controller
+    regulator: SlipRegulator
+    optimizer: ForceOptimizer
+    controller: Controller
 
     def answer(
         self,
@@ -61,16 +61,7 @@ class Chain:
         contacts: Contacts,
         forces: Array,
     ) -> Answer:
-        """Return the answer to a tick.
-
-        Args:
-            stamp: The tick [ns].
-            theta: Joint angles, shape (m,), rad.
-            rates: Joint rates, shape (m,), rad/s.
-            applied: Torques since the previous tick, shape (m,), N m; None if unknown.
-            contacts: Measured contacts in the palm frame.
-            forces: Measured forces in contact frames, shape (k, 3), N.
-        """
+        """Return the answer to a tick [ns]; see `Controller.step` for joints and touch."""
         grasp_force = self.regulator.step(stamp, contacts, forces)
         optimal = self.optimizer.step(stamp, contacts, self.regulator.carried, grasp_force)
         command = self.controller.step(
@@ -85,6 +76,7 @@ class Chain:
         self.regulator.joints_held = self.controller.joints_held
 
 
+@dataclass
 class SensingChain(Chain):
     """From true contacts to torques: the simulated skin, followed by a `Chain`.
 
@@ -92,38 +84,23 @@ class SensingChain(Chain):
         sensor: The skin.
     """
 
-    def __init__(
-        self,
-        sensor: TactileSensor,
-        regulator: SlipRegulator,
-        optimizer: ForceOptimizer,
-        controller: Controller,
-    ) -> None:
-        """Wire the blocks, or nodes that wrap them."""
-        super().__init__(regulator, optimizer, controller)
-        self.sensor = sensor
+    sensor: TactileSensor
 
-    def sense(
-        self, stamp: int, state: PlantState, true: TactileReading, sliding: Array
-    ) -> tuple[TactileReading, Answer]:
-        """Return the tactile reading at a tick [ns] and the answer to it.
-
-        The sliding speeds of the true contacts have the shape (k,), m/s.
-        """
+    def sense(self, stamp: int, state: PlantState) -> tuple[TactileReading, Answer]:
+        """Return the tactile reading at a tick [ns] and the answer to it."""
         if state.palm is not None:
             self.controller.turn_palm(state.palm)
-        touch = self.sensor.step(stamp, true, sliding, state.joints.theta)
+        touch = self.sensor.step(stamp, state.touch, state.speeds, state.joints.theta)
         return touch, self.answer(stamp, *state.joints, touch.contacts, touch.forces)
 
 
 def sensing_chain(scenario: Scenario, hand: Hand) -> SensingChain:
     """Build the blocks of a scenario for the nominal hand of its controllers."""
-    c = scenario.tactile_sensor
     return SensingChain(
-        TactileSensor(c, hand.radii, hand),
         SlipRegulator(scenario.slip_regulator, hand.fingers),
         ForceOptimizer(scenario.force_optimizer, hand.fingers),
         Controller(scenario.manipulation_controller),
+        TactileSensor(scenario.tactile_sensor, hand.radii, hand),
     )
 
 
@@ -216,20 +193,18 @@ class ClosedLoop:
         while self._requests and self._requests[0].stamp <= self.stamp:
             self.regulator.request(self._requests.pop(0).force)
         state = self.state
-        true, sliding = true_reading(state), sliding_speeds(state)
-        touch, answer = self.chain.sense(self.stamp, state, true, sliding)
+        touch, answer = self.chain.sense(self.stamp, state)
         record.stamps[row] = self.stamp
         if state.palm is not None:
             record.palm[row] = state.palm
         record.theta[row], record.rates[row], record.torque[row] = state.joints
-        record.contact_positions[row] = touch.positions
-        record.contact_quaternions[row] = touch.quaternions
-        record.forces[row] = touch.forces
+        record.contact_positions[row], record.contact_quaternions[row], record.forces[row] = touch
         record.object_position[row] = state.position
         record.object_quaternion[row] = quaternion_from_rotation(state.rotation)
-        record.true_positions[row], record.true_quaternions[row] = true.positions, true.quaternions
-        record.true_forces[row] = true.forces
-        record.true_sliding[row], record.true_slid[row] = sliding, state.slid
+        true = record.true_positions, record.true_quaternions, record.true_forces
+        for column, value in zip(true, state.touch, strict=True):
+            column[row] = value
+        record.true_sliding[row], record.true_slid[row] = state.speeds, state.slid
         self._write(record, row, answer)
         return answer.command
 

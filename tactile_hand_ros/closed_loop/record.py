@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, fields
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from tactile_hand_ros.compiled import Array
 
 
 def _ticks(shape: str, meaning: str) -> Array:

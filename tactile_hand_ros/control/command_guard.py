@@ -19,11 +19,10 @@ from tactile_hand_ros.control.holds import (
     GuardHold,
     GuardHoldConfig,
     JointRates,
-    JointTerms,
     split_forces,
     tip_forces,
 )
-from tactile_hand_ros.hand.hand import Hand
+from tactile_hand_ros.hand.hand import Dynamics, Hand
 
 NO_COMMAND = "no command yet"
 LATE = "the command is too old"
@@ -248,7 +247,7 @@ class CommandGuard:
         jump = np.abs(torque - self._past[-1].torque).max()
         if jump < self._hand.minimum_force * self._hand.spans.min():
             return False
-        terms = JointTerms(*self._hand.dynamics(theta, rates))
+        terms = self._hand.dynamics(theta, rates)
         _, presses = split_forces(tip_forces(terms.tips, self._pressed(stamp, rates, terms)))
         if np.linalg.norm(presses, axis=1).sum() < self._hand.minimum_force:
             return False
@@ -275,7 +274,7 @@ class CommandGuard:
         reason: str,
     ) -> Array:
         """Hold the joints, or blend a good command in; `before` is the last state."""
-        terms = JointTerms(*self._hand.dynamics(theta, rates))
+        terms = self._hand.dynamics(theta, rates)
         if reason:
             if before is State.ACT:
                 self._hold.engage(theta, rates, self._pressed(stamp, rates, terms))
@@ -297,7 +296,7 @@ class CommandGuard:
         self.reason = reason
         self._last = None
 
-    def _pressed(self, stamp: int, rates: Array, terms: JointTerms) -> Array:
+    def _pressed(self, stamp: int, rates: Array, terms: Dynamics) -> Array:
         """Return the mean torque of the contacts, tau - M theta'' - bias, shape (m,), N m."""
         if not self._past or stamp <= self._past[0].stamp:
             return np.zeros(self._hand.joints)

@@ -41,15 +41,7 @@ class Contacts:
 
     @classmethod
     def from_poses(cls, positions: Array, quaternions: Array) -> Contacts:
-        """Build contacts from the poses on a topic.
-
-        Args:
-            positions: Contact points, shape (k, 3), m.
-            quaternions: Contact frames (x, y, z, w), shape (k, 4).
-
-        Returns:
-            The contacts, in the palm frame.
-        """
+        """Return the contacts of positions, (k, 3), m, and quaternions (x, y, z, w), (k, 4)."""
         return cls(positions, rows_of_quaternions(quaternions).reshape(-1, 3, 3))
 
     @cached_property
@@ -68,11 +60,7 @@ class Contacts:
         return bool(self.touching.sum() >= min(MIN_CONTACTS, len(self.positions)))
 
     def part(self, chosen: NDArray[np.bool_]) -> Contacts:
-        """Return the contacts of some fingers.
-
-        Args:
-            chosen: Mask of the fingers, shape (k,).
-        """
+        """Return the contacts of the fingers in a mask of shape (k,)."""
         return self if chosen.all() else Contacts(self.positions[chosen], self.rotations[chosen])
 
     @property
@@ -120,15 +108,9 @@ def _touching(positions: Array, rotations: Array) -> NDArray[np.bool_]:
 
 @compiled
 def contact_frame(normal: Array) -> Array:
-    """Return the contact frame of a normal, with t_x = n x t_z.
+    """Return R_C = [t_x, n, t_z], shape (3, 3), of a unit normal n into the object, palm frame.
 
     t_z is palm z projected on the face, or palm x if that projection is shorter than 1e-3.
-
-    Args:
-        normal: Unit normal into the object, palm frame, shape (3,).
-
-    Returns:
-        R_C = [t_x, n, t_z], shape (3, 3).
     """
     return face_frame(normal, (0.0, 0.0, 1.0), (1.0, 0.0, 0.0))
 
@@ -190,13 +172,7 @@ def hand_jacobian(tips: Fingertips, points: Array, frames: Array) -> Array:
 
 @compiled
 def in_palm(rotations: Array, forces: Array, scale: float) -> Array:
-    """Return forces in palm axes, shape (k, 3), N.
-
-    Args:
-        rotations: Contact frames, shape (k, 3, 3).
-        forces: Forces in contact frames, shape (k, 3), N.
-        scale: Factor of the forces.
-    """
+    """Return forces of contact frames, shape (k, 3), times a factor, in palm axes."""
     out = np.empty_like(forces)
     for i in range(len(forces)):
         r, f = rotations[i], forces[i]
@@ -233,16 +209,9 @@ def joint_torques(
     return out
 
 
-_RADIUS = 0.05  # m
-
-
-def example_touch(fingers: int) -> tuple[Contacts, NDArray[np.float64]]:
-    """Return contacts around a cylinder, and forces on it in contact frames, shape (k, 3), N.
-
-    Args:
-        fingers: Number of contacts k.
-    """
+def example_touch(fingers: int) -> tuple[Contacts, Array]:
+    """Return contacts of k fingers around a cylinder, and forces in contact frames, N."""
     angles = 2.0 * np.pi * np.arange(fingers) / fingers
     outward = np.stack([np.cos(angles), np.sin(angles), np.zeros(fingers)], axis=1)
     frames = np.array([contact_frame(normal) for normal in -outward])
-    return Contacts(_RADIUS * outward, frames), np.tile([0.0, 1.0, 0.0], (fingers, 1))
+    return Contacts(0.05 * outward, frames), np.tile([0.0, 1.0, 0.0], (fingers, 1))

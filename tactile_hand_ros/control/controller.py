@@ -25,7 +25,6 @@ from tactile_hand_ros.control.holds import (
 from tactile_hand_ros.control.laws import (
     AuxiliaryPose,
     LawConfig,
-    LawFactory,
     LawTorque,
     ManipulationLaw,
     Target,
@@ -144,11 +143,7 @@ class Held(NamedTuple):
     grasp_force: float = 0.0
 
     def raised(self, grasp_force: float) -> Held:
-        """Return it with the internal force of a larger k_f, which never falls.
-
-        Args:
-            grasp_force: k_f, N.
-        """
+        """Return it with the internal force of a larger k_f, N, which never falls."""
         if not (self.grasp_force > 0.0 and self.grasp_force < grasp_force < math.inf):
             return self
         factor = grasp_force / self.grasp_force
@@ -174,6 +169,23 @@ class Command(NamedTuple):
     do_not_send: bool = False
 
 
+class _Tick(NamedTuple):
+    """Joints and touch at a tick, of the fingers that hold; see `Controller.step`.
+
+    `elapsed` is the time to integrate since the last tick, s.
+    """
+
+    stamp: int
+    theta: Array
+    rates: Array
+    contacts: Contacts
+    optimal_forces: Array
+    grasp_force: float
+    forces: Array | None
+    applied: Array | None
+    elapsed: float
+
+
 class Controller:
     """Answers each tick with joint torques, from joints and touch alone.
 
@@ -191,22 +203,19 @@ class Controller:
         warning: Why a hold could not keep this grasp; empty if it could.
     """
 
-    def __init__(self, config: ControllerConfig, law: LawFactory | None = None) -> None:
+    def __init__(self, config: ControllerConfig) -> None:
         """Build the controller.
-
-        Args:
-            config: Its parameters.
-            law: A law that replaces the one they name.
 
         Raises:
             HandModelError: If the hand cannot be built.
         """
         self.config = config
         self.hand = Hand.load(config.hand, config.layout, np.array(config.gravity))
-        self._law = ManipulationLaw(config.law, self.hand.radii, law)
+        self._law = ManipulationLaw(config.law, self.hand.radii)
         self._reference = SmoothReference()
         self._rates = JointRates(self.hand.joints)
         self._regrasp = Regrasp(config.regrasp, self.hand)
+        self._none = np.zeros(self.hand.joints)
         self.enabled = True
         self.joints_held = False
         self._palm: Array | None = None  # rotation in the world by the imu
@@ -214,11 +223,7 @@ class Controller:
         self.reset()
 
     def configure(self, config: ControllerConfig) -> None:
-        """Change the parameters while running; `hand` and `layout` stay.
-
-        Args:
-            config: The new values.
-        """
+        """Change the parameters while running; `hand` and `layout` stay."""
         self.config = config
         self._law.configure(config.law)
 
@@ -270,19 +275,10 @@ class Controller:
             self._posture = theta.copy()
         if mode in (Mode.OPEN, Mode.DISABLED):
             self._accept_inputs()
-            self._held = self._nothing
-
-    @property
-    def _nothing(self) -> Held:
-        """Torques of an open or disabled hand: zero."""
-        return Held(np.zeros(self.hand.joints), np.zeros(self.hand.joints))
+            self._held = Held(self._none, self._none)
 
     def turn_palm(self, orientation: Array) -> None:
-        """Turn gravity with the palm.
-
-        Args:
-            orientation: Quaternion (x, y, z, w) of the palm in the world, shape (4,).
-        """
+        """Turn gravity with the palm, whose quaternion (x, y, z, w) in the world is given."""
         self._palm = rotation_from_quaternion(orientation)
         self.hand.gravity = self._palm.T @ np.array(self.config.gravity)
 
@@ -310,13 +306,7 @@ class Controller:
         self.targets.command(target, stamp, self._last_stamp, self._grasp)
 
     def schedule(self, target: Target, stamp: int, *, judged: bool) -> None:
-        """Queue a desired pose as `command` does, without checking its reach now.
-
-        Args:
-            target: The pose.
-            stamp: First tick at which it is due, ns; zero or a past one means now.
-            judged: Whether its reach was checked; otherwise it is checked when it is due.
-        """
+        """Queue a desired pose as `command` does; `judged` is whether its reach was checked."""
         self.targets.schedule(target, stamp, self._last_stamp, judged=judged)
 
     def release(self) -> None:
@@ -379,42 +369,62 @@ class Controller:
             self._inputs.start_grasp()
             return self._holding(theta, rates, problem, grasp_force, applied)
         self._follow_touch(contacts.touching)
-        whole, contacts = contacts, contacts.part(self._touching)
-        optimal_forces = optimal_forces[self._touching]
-        forces = None if forces is None else forces[self._touching]
-        tips, problem = self._checked(stamp, theta, rates, contacts, forces, applied)
-        problem = problem or self._implausible(optimal_forces, grasp_force)
+        held, touch = self._touching, forces if forces is None else forces[self._touching]
+        measured = contacts.part(held), optimal_forces[held], grasp_force, touch, applied
+        now = _Tick(stamp, theta, rates, *measured, dt)
+        tips, problem = self._checked(now)
         if problem:
             return self._reject_inputs(stamp, theta, rates, problem, applied)
         self._implausible_since = None
         try:
-            pose = self._law.auxiliary_pose(tips, contacts)
-            self._grasp = Grasp(theta, whole, pose)
-            refused = self.targets.take_due(stamp, self._grasp)
-            wanted = self._way_to_target(pose, dt)
-            refused = self._stopped(theta, contacts, pose, grasp_force) or refused
-            self._fit(theta, contacts, optimal_forces)
-            parts = self._law.step(
-                tips, rates, contacts, optimal_forces, grasp_force, wanted, pose, dt, forces
-            )
+            return self._drive(now, tips, contacts)
         except GraspError as error:
             return self._holding(theta, rates, str(error), applied=applied)
+
+    def _drive(self, now: _Tick, tips: Fingertips, contacts: Contacts) -> Command:
+        """Return the answer of the law; `contacts` are those of all fingers.
+
+        Raises:
+            GraspError: If the law has no finite answer.
+        """
+        pose = self._law.auxiliary_pose(tips, now.contacts)
+        self._grasp = Grasp(now.theta, contacts, pose)
+        refused = self.targets.take_due(now.stamp, self._grasp)
+        assert self.targets.target is not None
+        self._law.acts = not self.joints_held
+        passed = 0.0 if self.joints_held else now.elapsed  # the reference waits
+        wanted = self._reference.step(self.targets.target, pose, self.config.reference_time, passed)
+        refused = self._stopped(now, pose) or refused
+        self._fit(now)
+        parts = self._law_torque(now, tips, wanted, pose)
+        self._enter(Mode.DRIVE, now.theta)
+        self._held = Held(parts.internal, parts.load_compensation, now.grasp_force)
+        if now.elapsed > 0.0:  # the tick rate has been measured
+            self._judge_hold(now)
+        torque = self._ahead(self._bearable(parts, self._weight(now.theta)), now.elapsed)
+        if not self._touching.all():
+            torque = self._closing(torque, now.theta, now.rates, now.contacts.centroid)
+        return Command(torque, Mode.DRIVE, pose, refused)
+
+    def _law_torque(
+        self, now: _Tick, tips: Fingertips, wanted: Target, pose: AuxiliaryPose
+    ) -> LawTorque:
+        """Return the torques of the law, without a drive where the grasp keeps its posture.
+
+        Raises:
+            GraspError: If they are not finite.
+        """
+        touch = now.contacts, now.optimal_forces, now.grasp_force
+        parts = self._law.step(tips, now.rates, *touch, wanted, pose, now.elapsed, now.forces)
         if self._keeps_posture:
-            held = self._spring(theta, rates)
+            held = self._spring(now.theta, now.rates)
             parts = parts._replace(drive=held, damping=np.zeros(len(held)))
         total = parts.total
         # One check for all torques: the square overflows only beyond those of any joint.
         if not math.isfinite(total.dot(total)):
             self._law.reset()
-            return self._holding(theta, rates, _NOT_FINITE, applied=applied)
-        self._enter(Mode.DRIVE, theta)
-        self._held = Held(parts.internal, parts.load_compensation, grasp_force)
-        if dt > 0.0:  # the tick rate has been measured
-            self._judge_hold(theta, contacts, optimal_forces, grasp_force)
-        torque = self._ahead(self._bearable(parts, self._weight(theta)), dt)
-        if not self._touching.all():
-            torque = self._closing(torque, theta, rates, contacts.centroid)
-        return Command(torque, Mode.DRIVE, pose, refused)
+            raise GraspError(_NOT_FINITE)
+        return parts
 
     def _follow_touch(self, touching: NDArray[np.bool_]) -> None:
         """Hold with the fingers in a mask of shape (k,); the torque of the law does not jump."""
@@ -442,61 +452,46 @@ class Controller:
         limits = hand.effort_limits
         return np.where(jacobian.any(axis=0), np.clip(closing, -limits, limits), torque)
 
-    def _checked(
-        self,
-        stamp: int,
-        theta: Array,
-        rates: Array,
-        contacts: Contacts,
-        forces: Array | None,
-        applied: Array | None,
-    ) -> tuple[Fingertips, str]:
-        """Return the fingertips, and why joints and touch disagree; see `step`."""
+    def _checked(self, now: _Tick) -> tuple[Fingertips, str]:
+        """Return the fingertips, and why the inputs are implausible; empty if they are not."""
         pressing, c = None, self.config
-        if self._compares_forces and forces is not None and applied is not None:
-            pressing = forces, applied
+        # Only forces that the law uses are compared.
+        compares = c.law.observer.time > 0.0 and c.force_tolerance > 0.0
+        if compares and now.forces is not None and now.applied is not None:
+            pressing = now.forces, now.applied
         limits = Tolerances(
             c.touch_tolerance, c.force_tolerance, c.touch_latency, self._rates.error
         )
-        seen = contacts, limits, pressing, self._palm
-        tips, problem = self._inputs.step(stamp, theta, rates, *seen)
+        seen = now.contacts, limits, pressing, self._palm
+        tips, problem = self._inputs.step(now.stamp, now.theta, now.rates, *seen)
         self.touch_rejected = bool(problem)
-        return tips, problem
+        return tips, problem or self._implausible(now.optimal_forces, now.grasp_force)
 
-    def _way_to_target(self, pose: AuxiliaryPose, dt: float) -> Target:
-        """Return the pose on the way to the target for this tick."""
-        assert self.targets.target is not None
-        self._law.acts = not self.joints_held
-        passed = 0.0 if self.joints_held else dt  # the reference waits
-        return self._reference.step(self.targets.target, pose, self.config.reference_time, passed)
-
-    def _stopped(
-        self, theta: Array, contacts: Contacts, pose: AuxiliaryPose, grasp_force: float
-    ) -> str:
+    def _stopped(self, now: _Tick, pose: AuxiliaryPose) -> str:
         """Return why the grasp stops here; empty if it moves on."""
         if not self._reference.is_moving:
             self._room = None
             return ""
-        problem = self._way_ends(theta, contacts, grasp_force)
+        problem = self._way_ends(now)
         if not problem:
             return ""
         self._reference.reset()
         self.targets.stay(pose)
         return f"the move ends here: {problem}; go back, or ask for a smaller turn"
 
-    def _way_ends(self, theta: Array, contacts: Contacts, grasp_force: float) -> str:
+    def _way_ends(self, now: _Tick) -> str:
         """Return why a move must stop; empty if it may continue.
 
         A grasp may be firm at the start of a move and weak at its end. A growing grasp force is the
         sign of that. Moves back from a rim or an end are allowed.
         """
         limit = self.config.grasp_force_limit
-        if 0.0 < _MOVES_UNTIL * limit < grasp_force:
+        if 0.0 < _MOVES_UNTIL * limit < now.grasp_force:
             return (
-                f"k_f = {grasp_force:.3g} N is near its limit of {limit:g} N, and the way ahead may"
-                " need more"
+                f"k_f = {now.grasp_force:.3g} N is near its limit of {limit:g} N, and the way "
+                "ahead may need more"
             )
-        left = room(self._fingers, theta, contacts)
+        left = room(self._fingers, now.theta, now.contacts)
         self._room = left if self._room is None else np.maximum(self._room, left)
         nearer = (left < self._room - 0.5 * LEAST_ROOM) & (self._room > 0.0)
         ends = np.flatnonzero((left < LEAST_ROOM) & nearer)
@@ -546,24 +541,22 @@ class Controller:
             return self._disabled(theta, rates)
         self._enter(Mode.HOLD, theta)
         held = self._kept(theta, applied, grasp_force)
-        rest = _sum(held.load + self._spring(theta, rates), self._weight(theta))
+        rest = held.load + self._spring(theta, rates) + self._weight(theta)
         fraction = bearable_fraction(held.internal, rest, self.hand.effort_limits)
         return Command(fraction * held.internal + rest, Mode.HOLD, None, reason)
 
     def _kept(self, theta: Array, applied: Array | None, grasp_force: float) -> Held:
         """Return the torques to keep, for a k_f in N and the torques since the last tick."""
         if self._held is None:
-            kept = self._nothing
             if applied is None or not applied.any() or not all_finite(applied):
-                return kept  # still unknown
-            weight = self._weight(theta)
-            self._held = kept._replace(internal=applied if weight is None else applied - weight)
+                return Held(self._none, self._none)  # still unknown
+            self._held = Held(applied - self._weight(theta), self._none)
         self._held = self._held.raised(grasp_force)
         return self._held
 
     def _spring(self, theta: Array, rates: Array) -> Array:
         """Return the torque that brings the joints back to the held posture, (m,), N m."""
-        inertia = self.hand.dynamics(theta, rates)[1]
+        inertia = self.hand.dynamics(theta, rates).inertia
         return spring(inertia, self._stiffest(inertia), self._posture - theta, -rates)
 
     def _stiffest(self, inertia: Array) -> float:
@@ -572,7 +565,7 @@ class Controller:
         late = (0.5 + c.latency) * self._period
         return stiffest(self.hand, inertia, self._period, late, c.resolution)
 
-    def _fit(self, theta: Array, contacts: Contacts, optimal_forces: Array) -> None:
+    def _fit(self, now: _Tick) -> None:
         """Fit the gains that are not given to the hand, its tick period and its fingers.
 
         A gripper, or a hand that cannot place the object for want of joints, keeps its posture
@@ -585,33 +578,32 @@ class Controller:
         if self._law.fits or known:
             return
         self._fitted_to, self._fitted_fingers = self._period, fingers
+        contacts = now.contacts
         forces = contacts.centroid - contacts.positions  # of law (10), a guess for other laws
         if c.law.name == "optimal":
-            forces = in_palm(contacts.rotations, optimal_forces, 1.0)
+            forces = in_palm(contacts.rotations, now.optimal_forces, 1.0)
         ages = c.touch_latency, c.law.observer.time
         how = forces, self._period, *ages, c.hold.resolution, c.command_delay
-        self._law.fit(fitted_gains(self._fingers, theta, contacts, *how))
-        if motions_of_object(self._fingers, theta, contacts) < FEWEST_MOTIONS:
-            self._keeps_posture, self._posture = True, theta.copy()
+        self._law.fit(fitted_gains(self._fingers, now.theta, contacts, *how))
+        if motions_of_object(self._fingers, now.theta, contacts) < FEWEST_MOTIONS:
+            self._keeps_posture, self._posture = True, now.theta.copy()
 
-    def _judge_hold(
-        self, theta: Array, contacts: Contacts, optimal_forces: Array, grasp_force: float
-    ) -> None:
+    def _judge_hold(self, now: _Tick) -> None:
         """Warn once per grasp if a hold could not keep it at this tick rate."""
         if self.config.law.name != "optimal" or self.warning:
             return
         if self._required is None:
-            forces = in_palm(contacts.rotations, optimal_forces, 1.0)
-            inertia = self.hand.dynamics(theta, np.zeros(self.hand.joints))[1]
-            needed = required_bandwidth(self._fingers, theta, contacts, forces)
+            forces = in_palm(now.contacts.rotations, now.optimal_forces, 1.0)
+            inertia = self.hand.dynamics(now.theta, np.zeros(self.hand.joints)).inertia
+            needed = required_bandwidth(self._fingers, now.theta, now.contacts, forces)
             self._required = needed, self._stiffest(inertia)
-        required, has = math.sqrt(grasp_force) * self._required[0], self._required[1]
+        required, has = math.sqrt(now.grasp_force) * self._required[0], self._required[1]
         if required > has:
             rate = 1.0 / self._period
             self.warning = (
-                f"without inputs this grasp would buckle: at {rate:.0f} Hz the hold has a bandwidth"
-                f" of {has:.0f} rad/s, k_f = {grasp_force:.3g} N needs {required:.0f} rad/s, about"
-                f" {rate * required / has:.0f} Hz"
+                f"without inputs this grasp would buckle: at {rate:.0f} Hz the hold has a "
+                f"bandwidth of {has:.0f} rad/s, k_f = {now.grasp_force:.3g} N needs "
+                f"{required:.0f} rad/s, about {rate * required / has:.0f} Hz"
             )
 
     def _implausible(self, optimal_forces: Array, grasp_force: float) -> str:
@@ -621,12 +613,6 @@ class Controller:
             limit = f"grasp_force_limit = {c.grasp_force_limit:g} N"
             return f"k_f = {grasp_force:.3g} N is above {limit}; holding until it is not"
         return implausible_shape(optimal_forces) if c.law.name == "optimal" else ""
-
-    @property
-    def _compares_forces(self) -> bool:
-        """Whether the law uses measured forces, so that they are compared with torques."""
-        c = self.config
-        return c.law.observer.time > 0.0 and c.force_tolerance > 0.0
 
     def _reject_inputs(
         self, stamp: int, theta: Array, rates: Array, reason: str, applied: Array | None
@@ -647,7 +633,7 @@ class Controller:
         else:  # that of a hold
             self._posture = theta
             torque = self._spring(theta, rates)
-        torque = _sum(torque, self._weight(theta))
+        torque = torque + self._weight(theta)
         return Command(torque, Mode.DISABLED, None, "disabled by the user")
 
     def _regrasped(self, contacts: Contacts) -> bool:
@@ -673,7 +659,7 @@ class Controller:
     def _open(self, theta: Array, rates: Array, contacts: Contacts, dt: float) -> Command:
         self._enter(Mode.OPEN, theta)
         self._posture = self._regrasp.posture(contacts, dt)
-        torque = _sum(self._spring(theta, rates), self._weight(theta))
+        torque = self._spring(theta, rates) + self._weight(theta)
         reason = self._regrasp.missed or "released by the user"
         return Command(torque, Mode.OPEN, None, reason)
 
@@ -707,13 +693,13 @@ class Controller:
             return torque
         return torque + 0.5 * self._period / dt * (torque - last)
 
-    def _bearable(self, parts: LawTorque, weight: Array | None) -> Array:
+    def _bearable(self, parts: LawTorque, weight: Array) -> Array:
         """Return the torques of a law and of the links' weight within the limits, (m,), N m.
 
         Internal force and load come first and keep their direction, then the drive. Damping takes
         the rest, joint by joint.
         """
-        limits, carried = self.hand.effort_limits, _sum(parts.load_compensation, weight)
+        limits, carried = self.hand.effort_limits, parts.load_compensation + weight
         fraction = bearable_fraction(parts.internal, carried, limits)
         internal = parts.internal if fraction == 1.0 else fraction * parts.internal
         torque = internal + carried
@@ -722,10 +708,6 @@ class Controller:
         torque = torque + drive + parts.damping
         return np.asarray(np.minimum(np.maximum(torque, -limits), limits))
 
-    def _weight(self, theta: Array) -> Array | None:
-        """Return the torques that carry the links, shape (m,), N m; None without compensation."""
-        return self.hand.gravity_torque(theta) if self.config.gravity_compensation else None
-
-
-def _sum(torque: Array, weight: Array | None) -> Array:
-    return torque if weight is None else torque + weight
+    def _weight(self, theta: Array) -> Array:
+        """Return the torques that carry the links, shape (m,), N m; zero without compensation."""
+        return self.hand.gravity_torque(theta) if self.config.gravity_compensation else self._none

@@ -137,11 +137,7 @@ def _solve_spread(scatter: Array, right: Array) -> tuple[float, float, float]:
 
 @compiled
 def centered(points: Array) -> Array:
-    """Return the arms p_c,i - centroid, shape (k, 3), m.
-
-    Args:
-        points: Contact points p_c, shape (k, 3), m.
-    """
+    """Return the arms p_c,i - centroid of points p_c, both of shape (k, 3), m."""
     return points - centroid(points)
 
 
@@ -149,11 +145,8 @@ def centered(points: Array) -> Array:
 def collinearity_margin(points: Array) -> float:
     """Return the margin of assumption A7: 0 for contacts on a line, 1 for an even spread.
 
-    It is the ratio of the second to the first singular value of p_c,i - centroid, and 1 for two
-    contacts, which no third one has to complete.
-
-    Args:
-        points: Contact points p_c, shape (k, 3), m.
+    It is the ratio of the second to the first singular value of p_c,i - centroid of points of shape
+    (k, 3), m, and 1 for two contacts, which no third one has to complete.
     """
     return _margin(centered(points))
 
@@ -178,10 +171,8 @@ def _margin(arms: Array) -> float:
 def joint_margin(hand_jacobian: Array) -> float:
     """Return the margin of assumption A5: the smallest singular value of J_h, in m/rad.
 
-    Directions in which a finger cannot move, for want of joints, do not count.
-
-    Args:
-        hand_jacobian: Shape (3k, m) or (k, 3, m).
+    J_h has the shape (3k, m) or (k, 3, m). Directions in which a finger cannot move, for want of
+    joints, do not count.
     """
     joints = hand_jacobian.shape[-1]
     stacked = hand_jacobian.reshape(-1, joints)
@@ -211,10 +202,7 @@ def check_joints(hand_jacobian: Array, minimum: float = 1e-3) -> None:
 
 
 def check_spread(points: Array) -> None:
-    """Check assumption A7: contacts that are not on one line, or the two of a gripper.
-
-    Args:
-        points: Contact points, shape (k, 3), m.
+    """Check assumption A7: points, shape (k, 3), m, that are not on one line, or two.
 
     Raises:
         CollinearContactsError: If they are.
@@ -226,11 +214,8 @@ def check_spread(points: Array) -> None:
 def required_friction(forces: Array) -> Array:
     """Return beta_i = sqrt(f_x^2 + f_z^2) / f_n, the friction coefficient that each contact needs.
 
-    Args:
-        forces: Contact forces on the object in C_i (y is the normal), shape (k, 3), N.
-
-    Returns:
-        Shape (k,); infinite for a tangential force without a normal force, 0 without a force.
+    Forces in C_i have the shape (k, 3), N. The result of shape (k,) is infinite for a tangential
+    force without a normal force, and 0 without a force.
     """
     tangential = np.hypot(forces[..., 0], forces[..., 2])
     normal = forces[..., 1]
@@ -365,23 +350,13 @@ def _frame_of_plane(points: Array) -> tuple[Array, float]:
 
 @compiled
 def turned_frame(before: Array, frame: Array, after: Array) -> Array:
-    """Return a frame that has turned with centered points, shape (3, 3).
-
-    Args:
-        before: Points when they had the frame, shape (k, 3), m.
-        frame: The frame, shape (3, 3).
-        after: The points now, shape (k, 3), m.
-    """
+    """Return a frame that has turned with centered points, (k, 3), m, since `before`."""
     return best_rotation(before, after) @ frame
 
 
 @compiled
 def best_rotation(before: Array, after: Array) -> Array:
-    """Return the rotation that best maps centered points to others, shape (3, 3).
-
-    Args:
-        before: Points, shape (k, 3), m.
-        after: Their images, shape (k, 3), m.
+    """Return the rotation, (3, 3), that best maps centered points, (k, 3), m, to their images.
 
     Source: Kabsch 1976; of a reflection the direction of the smallest extent is reversed.
     """

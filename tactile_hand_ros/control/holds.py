@@ -31,7 +31,7 @@ from tactile_hand_ros.compiled import Array, compiled
 from tactile_hand_ros.config.model import Config, param
 from tactile_hand_ros.control.contact import Contacts, hand_jacobian, joint_torques
 from tactile_hand_ros.control.grasp import centered, grasp_map
-from tactile_hand_ros.hand.hand import Fingertips, Hand
+from tactile_hand_ros.hand.hand import Dynamics, Fingertips, Hand
 
 _PHASE = 0.5  # w d: leaves 17 degrees of phase at the longest delay, 47 at half of it
 _DAMPING_PHASE = 1.25  # w d of damping alone: leaves 18 degrees
@@ -146,11 +146,7 @@ def _quietest(hand: Hand, inertia: Array, error: float) -> float:
 def spring(inertia: Array, w: float, away: Array, rates: Array) -> Array:
     """Return M_h (w^2 away + 2 w rates), shape (m,), N m, finite for any finite input.
 
-    Args:
-        inertia: M_h, shape (m, m).
-        w: Bandwidth, rad/s.
-        away: Posture to hold less joint angles, shape (m,), rad.
-        rates: Rates of that posture less those of the joints, shape (m,), rad/s.
+    `away` and `rates` are the posture to hold less that of the joints, rad, and its rates, rad/s.
     """
     away = np.clip(away, -_MAX_OFFSET, _MAX_OFFSET)
     rates = np.clip(rates, -_MAX_RATE, _MAX_RATE)
@@ -188,7 +184,7 @@ def required_bandwidth(
         missing[m : m + 3], missing[m + 3 :] = 0.0, -np.cross(moved, forces).sum(axis=0)
         stiffness[:, i] = motions.T @ missing
     joints = motions[:m]
-    inertia = joints.T @ hand.dynamics(theta, np.zeros(m))[1] @ joints
+    inertia = joints.T @ hand.dynamics(theta, np.zeros(m)).inertia @ joints
     return math.sqrt(_MARGIN * max(0.0, -_minimum_ratio(0.5 * (stiffness + stiffness.T), inertia)))
 
 
@@ -212,11 +208,7 @@ class FittedGains(NamedTuple):
     largest: float
 
     def at(self, grasp_force: float) -> tuple[Array, Array]:
-        """Return K_c, shape (m, m), N m s/rad, and K_p, shape (6, 6), N/m and N m/rad.
-
-        Args:
-            grasp_force: k_f, N.
-        """
+        """Return K_c, shape (m, m), N m s/rad, and K_p, shape (6, 6), of a k_f in N."""
         w = min(self.largest, max(self.quietest, self.needed * grasp_force))
         return self.rest + w * self.damping, w * self.stiffness
 
@@ -253,7 +245,7 @@ def fitted_gains(
         error: Largest error of an angle, rad.
         delay: n, ticks.
     """
-    inertia = hand.dynamics(theta, np.zeros(hand.joints))[1]
+    inertia = hand.dynamics(theta, np.zeros(hand.joints)).inertia
     largest = min(1.0, _DAMPING_PHASE / (delay + 0.5)) / tick
     quietest = min(largest, _quietest(hand, inertia, error))
     motions = _motions(hand, hand.fingertips(theta), contacts)
@@ -277,20 +269,14 @@ def fitted_gains(
 def largest_damping(
     hand: Hand, theta: Array, contacts: Contacts, body: Array, tick: float
 ) -> float:
-    """Return the joint damping K_c, N m s/rad, above which a grasp oscillates.
+    """Return the joint damping K_c, N m s/rad, above which a grasp at theta oscillates.
 
-    A torque -K_c theta' that is held for a tick T reverses the rates if K_c T / M_h > 2, in motions
-    that keep the contacts.
-
-    Args:
-        hand: The hand.
-        theta: Joint angles, shape (m,), rad.
-        contacts: Contacts with the object; all fingers must touch.
-        body: Inertia of the object, linear above angular, palm axes, shape (6, 6).
-        tick: T, s.
+    A torque -K_c theta' that is held for a tick of T s reverses the rates if K_c T / M_h > 2, in
+    motions that keep the contacts. All fingers touch. `body` is the inertia of the object, linear
+    above angular, palm axes, shape (6, 6).
     """
     joints, twists = np.split(_motions(hand, hand.fingertips(theta), contacts), [hand.joints])
-    inertia = joints.T @ hand.dynamics(theta, np.zeros(hand.joints))[1] @ joints
+    inertia = joints.T @ hand.dynamics(theta, np.zeros(hand.joints)).inertia @ joints
     inertia += twists.T @ body @ twists
     return 2.0 * _minimum_ratio(inertia, joints.T @ joints) / tick
 
@@ -300,15 +286,8 @@ def largest_stiffness(
 ) -> tuple[float, float]:
     """Return k_p, N/m, and k_o, N m/rad, above which the delay of their torque cancels the damping.
 
-    A force -k x that is d late lowers the damping by k d: k d < D, with the minimum damping D of
-    the grasp in any direction.
-
-    Args:
-        hand: The hand.
-        theta: Joint angles, shape (m,), rad.
-        contacts: Contacts with the object; all fingers must touch.
-        damping: K_c, N m s/rad.
-        late: d, s.
+    A force -k x that is d s late lowers the damping by k d: k d < D, with the minimum damping D of
+    the grasp at theta in any direction, from K_c in N m s/rad. All fingers touch.
     """
     rates = _rates_of_twists(_motions(hand, hand.fingertips(theta), contacts))
     linear, angular = (np.linalg.svd(part, compute_uv=False)[-1] for part in np.split(rates, 2, 1))
@@ -316,12 +295,9 @@ def largest_stiffness(
 
 
 def motions_of_object(hand: Hand, theta: Array, contacts: Contacts) -> int:
-    """Return in how many directions of 6 the joints move the object while all contacts hold.
+    """Return in how many directions of 6 the joints, at theta, move the object.
 
-    Args:
-        hand: The hand.
-        theta: Joint angles, shape (m,), rad.
-        contacts: Contacts with the object; all fingers must touch.
+    All contacts hold, and all fingers touch.
     """
     twists = _motions(hand, hand.fingertips(theta), contacts)[-6:]
     return int(np.linalg.matrix_rank(twists, tol=_INDEPENDENT)) if twists.size else 0
@@ -403,20 +379,6 @@ class GuardHoldConfig(Config):
     )
 
 
-class JointTerms(NamedTuple):
-    """Kinematics and dynamics of the hand at one posture.
-
-    Attributes:
-        tips: Fingertip centers and Jacobians.
-        inertia: M_h, shape (m, m).
-        bias: C_h theta' + N_h, shape (m,), N m.
-    """
-
-    tips: Fingertips
-    inertia: Array
-    bias: Array
-
-
 _LOAD_TIME = 0.005  # s over which the load is averaged
 
 
@@ -429,13 +391,7 @@ class GuardHold:
     """
 
     def __init__(self, config: GuardHoldConfig, hand: Hand, tick: float) -> None:
-        """Build the hold.
-
-        Args:
-            config: Stiffness, braking and internal force.
-            hand: Model of the hand, with gravity.
-            tick: Time between two calls of `step`, s.
-        """
+        """Build the hold of a hand with gravity; `tick` is the time between two steps, s."""
         self._config, self._hand, self._tick = config, hand, tick
 
     def engage(self, theta: Array, rates: Array, pressed: Array) -> None:
@@ -481,9 +437,7 @@ class GuardHold:
         self._start, self._speed, self._ticks = theta.copy(), rates.copy(), 0
         self.reference = self._start, self._speed
 
-    def step(
-        self, joints: tuple[Array, Array] | None, terms: JointTerms, *, follows: bool
-    ) -> Array:
+    def step(self, joints: tuple[Array, Array] | None, terms: Dynamics, *, follows: bool) -> Array:
         """Return the holding torque, shape (m,), N m.
 
         Args:
@@ -503,7 +457,7 @@ class GuardHold:
         held = internal + terms.bias + terms.inertia @ acceleration
         return np.asarray(held + spring(terms.inertia, w, away, speed - rates))
 
-    def _follow_load(self, terms: JointTerms, away: Array) -> None:
+    def _follow_load(self, terms: Dynamics, away: Array) -> None:
         """Raise the internal force with the load; it never falls during a hold.
 
         The load is the deflection of the spring, from angles alone and beyond their resolution, so
@@ -536,13 +490,9 @@ class GuardHold:
 
 
 def tip_forces(tips: Fingertips, torque: Array) -> Array:
-    """Return the forces at the tip centers that balance a joint torque, shape (k, 3), N.
+    """Return tip forces, shape (k, 3), N, that balance a joint torque tau, shape (m,), N m.
 
     The least-squares solution of J_i^T f_i = tau, exact for fingers with three joints.
-
-    Args:
-        tips: Fingertip centers and Jacobians.
-        torque: tau, shape (m,), N m.
     """
     rows = tips.linear.reshape(-1, tips.linear.shape[-1])
     forces = np.linalg.lstsq(rows.T, torque, rcond=1e-6)[0]
@@ -550,22 +500,14 @@ def tip_forces(tips: Fingertips, torque: Array) -> Array:
 
 
 def joint_torque(tips: Fingertips, forces: Array) -> Array:
-    """Return the joint torques of forces at the tip centers, shape (m,), N m.
-
-    Args:
-        tips: Fingertip centers and Jacobians.
-        forces: In palm axes, shape (k, 3), N.
-    """
+    """Return the joint torques, (m,), N m, of forces, (k, 3), N, at the tip centers."""
     return np.asarray(np.einsum("kim,ki->m", tips.linear, forces))
 
 
 def split_forces(forces: Array) -> tuple[Array, Array]:
-    """Return the sum of tip forces, the load, shape (3,), N, and the forces less their mean.
+    """Return the load, the sum of tip forces of shape (k, 3), N, and the forces less their mean.
 
     Torques on the object cannot be separated from the internal force without the contacts.
-
-    Args:
-        forces: At the tips, palm axes, shape (k, 3), N.
     """
     load = forces.sum(axis=0)
     return load, forces - load / len(forces)

@@ -204,15 +204,13 @@ class ManipulationLaw:
         acts: Whether its torques reach the joints; otherwise the integral waits.
     """
 
-    def __init__(self, config: LawConfig, radii: Array, law: LawFactory | None = None) -> None:
+    def __init__(self, config: LawConfig, radii: Array) -> None:
         """Build the law.
 
         Args:
             config: Name and gains of the law.
             radii: Radii of the fingertips, shape (k,), m.
-            law: A law that replaces the one in `config`.
         """
-        self._factory = law
         self._radii = np.asarray(radii)
         self._frame = VirtualFrame()
         self._integral = np.zeros(6)
@@ -228,7 +226,7 @@ class ManipulationLaw:
     def configure(self, config: LawConfig) -> None:
         """Change the gains; integral and observed load stay unless they are switched off."""
         self.config = config
-        self._law = (self._factory or law_of(config))(config, self._radii)
+        self._law = law_of(config)(config, self._radii)
         self._gains = np.repeat([config.k_p, config.k_o], 3)
         c = config.integral
         self._integrates = max(c.k_p, c.k_o, c.time) > 0.0
@@ -340,13 +338,11 @@ class ManipulationLaw:
     def _carried(self, contacts: Contacts, forces: Array | None, dt: float) -> Array | None:
         """Return the wrench of integral and observer, shape (6,), or None while both are off."""
         c = self.config
-        observes = c.observer.time > 0.0 and forces is not None
-        if not observes:
-            return self._integral if self._integrates else None
-        assert forces is not None
-        # What a guard carries is to be carried from the first tick that acts again.
-        passed = dt if self.acts else np.inf
-        return self._integral + self._observer.step(c.observer, contacts, forces, passed)
+        if c.observer.time > 0.0 and forces is not None:
+            # What a guard carries is to be carried from the first tick that acts again.
+            passed = dt if self.acts else np.inf
+            return self._integral + self._observer.step(c.observer, contacts, forces, passed)
+        return self._integral if self._integrates else None
 
     def _integrate(self, error: Array, pull: Array, dt: float) -> None:
         """Integrate the error; force and torque are each held inside their limit (anti-windup).

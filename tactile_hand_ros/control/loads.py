@@ -137,12 +137,7 @@ class CarriedLoad(NamedTuple):
 
 @compiled
 def shift(radius: float, friction: float) -> float:
-    """Return how far a cone moves along its normal for a ball of loads, N.
-
-    Args:
-        radius: Radius of the ball, N.
-        friction: mu of the cone.
-    """
+    """Return how far a cone of a friction mu moves along its normal for a ball of loads, N."""
     return radius * math.sqrt(1.0 + 1.0 / (friction * friction))
 
 
@@ -170,7 +165,7 @@ class LoadObserver:
 
     def __init__(self) -> None:
         """Start without a load."""
-        self.wrench = np.zeros(6)
+        self.reset()
 
     def reset(self) -> None:
         """Forget the load."""
@@ -180,13 +175,11 @@ class LoadObserver:
         """Return the wrench to carry, about the contact centroid, shape (6,), N and N m.
 
         Args:
-            config: Time constant and limits.
+            config: Time constant above 0, and limits.
             contacts: Contact points and frames.
             forces: Measured forces in contact frames, shape (k, 3), N.
             dt: Time since the last tick, s.
         """
-        if config.time == 0.0:
-            return np.zeros(6)
         fraction = 1.0 - math.exp(-dt / config.time)
         touch = contacts.positions, contacts.rotations, forces
         self.wrench = _followed(
@@ -215,13 +208,7 @@ def _followed(
 
 @compiled
 def limit_wrench(wrench: Array, force_limit: float, torque_limit: float) -> None:
-    """Shorten force and torque of a wrench in place to their limits.
-
-    Args:
-        wrench: Force and torque, shape (6,), N and N m.
-        force_limit: Largest force, N.
-        torque_limit: Largest torque, N m.
-    """
+    """Shorten force, N, and torque, N m, of a wrench in place to their limits."""
     limit_length(wrench[:3], force_limit)
     limit_length(wrench[3:], torque_limit)
 

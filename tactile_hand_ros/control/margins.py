@@ -31,31 +31,19 @@ TIP = np.array([1.0, 0.0, 0.0])
 
 
 def local_normals(normals: Array, tips: Array) -> Array:
-    """Return contact normals in the frames of their fingertips, shape (..., k, 3).
-
-    Args:
-        normals: Contact normals in the palm frame, shape (..., k, 3).
-        tips: Frames of the fingertips in the palm frame, shape (..., k, 3, 3).
-    """
+    """Return palm-frame normals, (..., k, 3), in the frames of their tips, (..., k, 3, 3)."""
     return np.asarray(np.einsum("...ji,...j->...i", tips, normals))
 
 
 def angles_between(a: Array, b: Array) -> Array:
-    """Return the angles between unit vectors, shape (...), rad.
-
-    Args:
-        a: Unit vectors, shape (..., 3).
-        b: Unit vectors in the same frame, shape (..., 3).
-    """
+    """Return the angles between unit vectors of shape (..., 3), shape (...), rad."""
     return np.asarray(np.arccos(np.clip((a * b).sum(axis=-1), -1.0, 1.0)))
 
 
 def cone_distances(forces: Array, learned_friction: Array) -> Array:
-    """Return the distance of each force inside its friction cone, mu f_n - |f_t|, N.
+    """Return the distances of forces inside friction cones, mu f_n - |f_t|, shape (..., k), N.
 
-    Args:
-        forces: Contact forces in contact frames, shape (..., k, 3), N.
-        learned_friction: mu, shape (..., k).
+    Forces in contact frames have the shape (..., k, 3), N, and the learned mu (..., k).
     """
     tangential = np.hypot(forces[..., 0], forces[..., 2])
     return np.asarray(learned_friction * forces[..., 1] - tangential)
@@ -156,28 +144,18 @@ class SlipMonitor:
         grip: NDArray[np.int_],
         likelihood: Array,
     ) -> None:
-        """Update the margins with a tick.
+        """Update the margins with a tick, ns, its contacts, and measured forces, (k, 3), N.
 
-        Args:
-            stamp: The tick, ns.
-            contacts: Contacts by touch.
-            forces: Measured forces in contact frames, shape (k, 3), N.
-            learned_friction: Learned mu, shape (k,).
-            grip: `ContactState` of each contact, shape (k,).
-            likelihood: Evidence for slip, 0 to 1, shape (k,).
+        The learned mu, the `ContactState` and the evidence for slip, 0 to 1, have the shape (k,).
         """
         worst = self.load, self.evidence, self.cone
         touch = contacts.positions, contacts.rotations, forces
         noted = _noted(*worst, *touch, learned_friction, grip, likelihood)
         self.load, self.evidence, self.cone, slips = noted
-        self._time(stamp, slips)
-
-    def _time(self, stamp: int, slips: bool) -> None:
-        if not slips:
-            self._since = None
-            return
-        self._since = stamp if self._since is None else self._since
-        self.time_left = min(self.time_left, REACTION - 1e-9 * (stamp - self._since))
+        first = stamp if self._since is None else self._since
+        self._since = first if slips else None
+        if slips:
+            self.time_left = min(self.time_left, REACTION - 1e-9 * (stamp - first))
 
 
 @compiled

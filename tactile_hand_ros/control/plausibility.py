@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from tactile_hand_ros.compiled import Array
 from tactile_hand_ros.control.contact import OFF_TIP, Contacts, in_palm, joint_torques
-from tactile_hand_ros.hand.hand import Fingertips, Hand
+from tactile_hand_ros.hand.hand import Dynamics, Fingertips, Hand
 from tactile_hand_ros.rotations import vector_from_rotation
 
 _STANDING = 0.5  # fraction of the tolerance of touch that contacts may move while the joints rest
@@ -29,11 +29,8 @@ _SUM = 1e-3  # largest error of sum f*_n = 1
 def implausible_touch(tips: Fingertips, contacts: Contacts, radii: Array, allowed: Array) -> str:
     """Return why contacts and joints disagree; empty if they do not.
 
-    Args:
-        tips: Fingertips of the measured posture.
-        contacts: Contact points and frames; all must touch.
-        radii: Radii of the fingertips, shape (k,), m.
-        allowed: Largest distances of the contacts from their fingertips, shape (k,), m.
+    All fingers touch. Their radii and the largest distances of the contacts from their tips have
+    the shape (k,), m.
     """
     off = contacts.positions - tips.positions - radii[:, None] * contacts.normals
     gaps = np.sqrt((off * off).sum(axis=1))
@@ -44,11 +41,7 @@ def implausible_touch(tips: Fingertips, contacts: Contacts, radii: Array, allowe
 
 
 def implausible_shape(optimal_forces: Array) -> str:
-    """Return why f* cannot be a solution of (13); empty if it may be one.
-
-    Args:
-        optimal_forces: f* in contact frames, shape (k, 3).
-    """
+    """Return why f*, shape (k, 3), cannot solve (13); empty if it may."""
     total = float(optimal_forces[:, 1].sum())
     if math.fabs(total - 1.0) <= _SUM:
         return ""
@@ -125,7 +118,7 @@ class ForceTorqueCheck:
         self,
         stamp: int,
         rates: Array,
-        terms: tuple[Fingertips, Array, Array],
+        terms: Dynamics,
         contacts: Contacts,
         forces: Array,
         applied: Array,
@@ -163,8 +156,10 @@ class ForceTorqueCheck:
         if 1e-9 * (stamp - self._started) < limits.latency:  # forces may belong to earlier torques
             measured = self._pressed
         self._measured = self._measured + fraction * (measured - self._measured)
-        self._remember(stamp, limits.latency)
-        noise = own @ np.abs(inertia) @ np.broadcast_to(limits.rates, rates.shape) / COMPARISON_TIME
+        self._past.append((stamp, self._pressed))  # at which the forces may have been measured
+        while 1e-9 * (stamp - self._past[0][0]) > limits.latency:
+            self._past.popleft()
+        noise = own @ np.abs(inertia) @ np.full(rates.shape, limits.rates) / COMPARISON_TIME
         noise = noise + self._swung * self._turning(palm, dt)
         self._noise = np.maximum(noise, (1.0 - fraction) * self._noise)
         if not any(self._fits(past, own, limits.force) for _, past in reversed(self._past)):
@@ -172,12 +167,6 @@ class ForceTorqueCheck:
         if self._is_frozen(stamp, tips, own, forces, limits.latency):
             return "the forces of a finger do not change although its torques do; holding"
         return ""
-
-    def _remember(self, stamp: int, latency: float) -> None:
-        """Keep the torques of the times at which the forces may have been measured."""
-        self._past.append((stamp, self._pressed))
-        while 1e-9 * (stamp - self._past[0][0]) > latency:
-            self._past.popleft()
 
     def _fits(self, pressed: Array, own: NDArray[np.bool_], tolerance: float) -> bool:
         """Return whether the measured forces agree with torques of one time, shape (m,), N m.
@@ -252,22 +241,15 @@ class InputCheck:
     ) -> tuple[Fingertips, str]:
         """Return the fingertips, and why joints and touch disagree; empty if they do not.
 
-        Args:
-            stamp: The tick, ns.
-            theta: Joint angles, shape (m,), rad.
-            rates: Joint rates, shape (m,), rad/s.
-            contacts: Contact points and frames; all must touch.
-            limits: Largest differences.
-            pressing: Measured forces in contact frames, shape (k, 3), N, and the torques applied
-                since the last tick, shape (m,), N m; None to compare neither.
-            palm: Rotation of the palm in the world, shape (3, 3); None if unknown.
+        All fingers touch. `pressing` are the measured forces and the applied torque, None to
+        compare neither; for these and the rest see `ForceTorqueCheck.step`.
         """
         problem = ""
         if pressing is None:
             tips = self._hand.fingertips(theta)
         else:
             terms = self._hand.dynamics(theta, rates)
-            tips, _, _ = terms
+            tips = terms.tips
             problem = self._forces.step(stamp, rates, terms, contacts, *pressing, limits, palm)
         radii = self._hand.radii
         allowed = np.full(len(radii), limits.touch) if limits.touch > 0.0 else OFF_TIP * radii

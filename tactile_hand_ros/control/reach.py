@@ -82,12 +82,7 @@ def room(hand: Hand, theta: Array, contacts: Contacts) -> Array:
     """Return the fractions left of the ways to rims and joint limits, shape (k + m,).
 
     A way leads from the tip of a finger to its rim, or from the middle of a joint's range to its
-    end; 1 for a joint without limits.
-
-    Args:
-        hand: The hand.
-        theta: Joint angles, shape (m,), rad.
-        contacts: Contacts; all must touch.
+    end; 1 for a joint without limits. All fingers touch.
     """
     lower, upper = hand.position_limits
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -155,17 +150,9 @@ def _text(position: Array) -> str:
 
 
 def inverse_kinematics(hand: Hand, tips: Array, start: Array) -> tuple[Array, Array]:
-    """Find joint angles that bring the fingertips closest to given points.
+    """Return angles that bring the tips closest to points, (k, 3), m, and the distances, (k,), m.
 
-    Levenberg's damped least squares inside the joint limits.
-
-    Args:
-        hand: The hand.
-        tips: Wanted fingertip centers in the palm frame, shape (k, 3), m.
-        start: Joint angles to start from, shape (m,), rad.
-
-    Returns:
-        Joint angles, shape (m,), and remaining distances, shape (k,), m.
+    Levenberg's damped least squares inside the joint limits, from the angles `start`.
     """
     for theta, error in islice(_approach(hand, tips, start), _ITERATIONS + 1):
         if np.abs(error).max() < 1e-6:

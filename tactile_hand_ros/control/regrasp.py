@@ -55,7 +55,7 @@ class Regrasp:
         self._tips = self._hand.fingertips(theta).positions
         self._depth = np.zeros(self._hand.fingers)
         self._posture = theta.copy()
-        self._closing, self.missed = False, ""
+        self.open()
 
     def open(self) -> None:
         """Start to open again, along the normals of the last grasp."""
@@ -74,11 +74,7 @@ class Regrasp:
         return bool((self._depth < self._config.overtravel)[~contacts.touching].any())
 
     def follow(self, theta: Array) -> None:
-        """Continue from a posture that another cause has moved the joints to.
-
-        Args:
-            theta: Joint angles, shape (m,), rad.
-        """
+        """Continue from a posture, shape (m,), rad, that another cause has moved the joints to."""
         if self.active:
             moved = self._depth[:, None] * self._normals
             self._tips = self._hand.fingertips(theta).positions - moved

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import bisect
 import math
+import operator
 from typing import NamedTuple
 
 import numpy as np
@@ -106,6 +107,9 @@ class _QueuedPose(NamedTuple):
     judged: bool
 
 
+_due_at = operator.attrgetter("stamp")
+
+
 class TargetQueue:
     """Keeps desired poses until they are due; the newest reachable one becomes the target.
 
@@ -142,7 +146,7 @@ class TargetQueue:
         """Queue a desired pose, and check it now if there is a grasp and time for it.
 
         Args:
-            target: Desired pose of the contact centroid's virtual frame, palm frame.
+            target: The pose.
             stamp: First tick at which it is due, ns; zero or a past one means now.
             now: The last tick, ns; None before the first.
             grasp: The last grasp; None before the first.
@@ -157,14 +161,7 @@ class TargetQueue:
         self.schedule(target, stamp, now, judged=is_judged and target.is_whole)
 
     def schedule(self, target: Target, stamp: int, now: int | None, *, judged: bool) -> None:
-        """Queue a desired pose as `command` does, without checking its reach now.
-
-        Args:
-            target: The pose.
-            stamp: First tick at which it is due, ns; zero or a past one means now.
-            now: The last tick, ns; None before the first.
-            judged: Whether its reach was checked; otherwise it is checked when it is due.
-        """
+        """Queue a desired pose as `command` does; `judged` is whether its reach was checked."""
         if stamp <= (now or 0):
             stamp = 0
         bisect.insort(self._queue, _QueuedPose(stamp, target, judged), key=_due_at)
@@ -182,12 +179,8 @@ class TargetQueue:
     def take_due(self, stamp: int, grasp: Grasp) -> str:
         """Make the newest due pose the target; return why it was rejected, empty if it was not.
 
-        Without a target the grasp stays where it was first seen. A tick has time to check one
-        pose. If it is rejected, older ones follow in the next tick.
-
-        Args:
-            stamp: The tick, ns.
-            grasp: The grasp in this tick.
+        Without a target the grasp stays where it was first seen. A tick has time to check one pose.
+        If it is rejected, older ones follow in the next tick.
         """
         if self.target is None:
             self.stay(grasp.pose)
@@ -221,8 +214,3 @@ class TargetQueue:
         if known is None or not all(map(np.array_equal, known[:2], target[:2])):
             check_reach(self._hand, *grasp, target)
             self._in_reach = target
-
-
-def _due_at(queued: _QueuedPose) -> int:
-    """Return the tick at which a waiting pose is due, ns."""
-    return queued.stamp

@@ -13,6 +13,7 @@ from xml.etree.ElementTree import Element, SubElement
 
 import numpy as np
 
+from tactile_hand_ros.compiled import Array
 from tactile_hand_ros.config.hand_config import Coupling, HandConfig
 from tactile_hand_ros.errors import HandModelError
 
@@ -181,8 +182,8 @@ def _shift(joint: Element, at: float) -> None:
 
     origin, axis = joint.find("origin"), joint.find("axis")
     origin = SubElement(joint, "origin") if origin is None else origin
-    place, angles = (_vector(origin.get(key, "0 0 0")) for key in ("xyz", "rpy"))
-    along = at * _vector("1 0 0" if axis is None else axis.get("xyz", "1 0 0"))
+    place, angles = (three_numbers(origin, key) for key in ("xyz", "rpy"))
+    along = at * three_numbers(axis, "xyz", "1 0 0")
     rotation = pin.rpy.rpyToMatrix(angles)
     if joint.get("type") == "prismatic":
         place = place + rotation @ along
@@ -197,7 +198,13 @@ def _number(element: Element, key: str, default: float) -> float:
     return float(words[0]) if words else default
 
 
-def _vector(text: str) -> np.ndarray:
+def three_numbers(element: Element | None, key: str, default: str = "0 0 0") -> Array:
+    """Return an attribute with three numbers, shape (3,).
+
+    Raises:
+        HandModelError: If it has others.
+    """
+    text = default if element is None else element.get(key, default)
     words = text.split()
     if len(words) != 3:
         raise HandModelError(f"a joint of the URDF has '{text}', expected three numbers")

@@ -11,18 +11,11 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from tactile_hand_ros.compiled import compiled
-from tactile_hand_ros.config.hand_config import (
-    Coupling,
-    FingerConfig,
-    HandConfig,
-    load_hand_config,
-)
+from tactile_hand_ros.compiled import Array, compiled
+from tactile_hand_ros.config.hand_config import Coupling, FingerConfig, HandConfig, load_hand_config
 from tactile_hand_ros.errors import HandModelError
 from tactile_hand_ros.hand.tip_fit import fitted_tips
 from tactile_hand_ros.hand.urdf import describe
-
-Array = NDArray[np.float64]
 
 
 class Fingertips(NamedTuple):
@@ -47,13 +40,7 @@ def tip_jacobians(
 ) -> tuple[Array, Array]:
     """Return the Jacobians J and J_Omega of the fingertips, each of shape (k, 3, m), equation (1).
 
-    Args:
-        spatial: Velocities of the bodies at the palm's origin per rate of n single joints, linear
-            above angular, palm axes, shape (6, n).
-        support: Which single joints move which tip, shape (k, n).
-        coupling: Rates of the single joints per rate of the m driven ones, shape (n, m); empty
-            where all are driven.
-        centers: Fingertip centers, palm frame, shape (k, 3), m.
+    The arguments are those of `RawDynamics`.
     """
     k, m = support.shape
     linear, angular = np.zeros((k, 3, m)), np.zeros((k, 3, m))
@@ -75,13 +62,28 @@ def tip_jacobians(
     return driven
 
 
+@compiled
 def mirrored(upper: Array) -> Array:
-    """Return the symmetric matrix of an upper triangle, shape (m, m).
+    """Return the symmetric matrix of an upper triangle, shape (m, m)."""
+    out = np.empty(upper.shape)
+    for i in range(len(upper)):
+        for j in range(i, len(upper)):
+            out[i, j] = out[j, i] = upper[i, j]
+    return out
 
-    Args:
-        upper: Matrix whose upper triangle counts, shape (m, m).
+
+class Dynamics(NamedTuple):
+    """Kinematics and dynamics of the hand at one posture, equation (3).
+
+    Attributes:
+        tips: Fingertip centers and Jacobians.
+        inertia: M_h, shape (m, m).
+        bias: C_h theta' + N_h, shape (m,), N m.
     """
-    return np.triu(upper) + np.triu(upper, 1).T
+
+    tips: Fingertips
+    inertia: Array
+    bias: Array
 
 
 class RawDynamics(NamedTuple):
@@ -110,12 +112,15 @@ class Hand:
     """A hand with k fingers and m driven joints.
 
     A joint that follows another one, q_i = ratio q_j + offset, is no joint of its own: all angles
-    are q = S theta + offset, so that J = J_q S and M_h = S^T M_q S.
+    are q = S theta + offset, so that J = J_q S and M_h = S^T M_q S. Postures theta and rates are
+    those of the driven joints, shape (m,), rad and rad/s.
 
     Attributes:
         fingers: Number of fingers k.
         joints: Number of driven joints m.
         finger_names: Names of the k fingers.
+        model: Pinocchio's model of all joints, also of those that follow; it must not be changed.
+        tip_frames: Frames of the model at the centers of the fingertips, by finger.
         file: The URDF or MJCF.
         tip_links: Names of the fingers' last links.
         joint_names: Names of the m driven joints, in the order of every joint array.
@@ -154,31 +159,31 @@ class Hand:
             HandModelError: If the URDF is missing or broken, or lacks a named link or joint.
         """
         self.description, self.couplings = describe(config, layout)
-        self._model = _model(self.description, config)
+        self.model = _model(self.description, config)
         if link_lengths != 1.0:
-            _stretch(self._model, link_lengths)
+            _stretch(self.model, link_lengths)
         fingers, self.tip_errors = fitted_tips(config, self.description)
-        self._tips = [_tip_frame(self._model, finger) for finger in fingers]
-        self._data = self._model.createData()
-        names = list(self._model.names[1:])
+        self.tip_frames = [_tip_frame(self.model, finger) for finger in fingers]
+        self._data = self.model.createData()
+        names = list(self.model.names[1:])
         driven = [name for name in names if name not in self.couplings]
         self._coupling, self._offsets = _coupling(names, driven, self.couplings)
-        _check_inertia(self._model, self._coupling, config.urdf)
-        self._support = _support(self._model, self._tips)
+        _check_inertia(self.model, self._coupling, config.urdf)
+        self._support = _support(self.model, self.tip_frames)
         # Views of the arrays that Pinocchio overwrites.
         self._spatial, self._inertia, self._bias = self._data.J, self._data.M, self._data.nle
-        self._centers = [self._data.oMf[frame].translation for frame in self._tips]
+        self._centers = [self._data.oMf[frame].translation for frame in self.tip_frames]
         self._turned: pin.Model | None = None  # with a palm that moves
         self.gravity = np.zeros(3) if gravity is None else np.asarray(gravity)
-        self.fingers = len(self._tips)
+        self.fingers = len(self.tip_frames)
         self.joints = len(driven)
         self.finger_names = config.finger_names
         self.file, self.tip_links = config.file, [finger.tip for finger in config.fingers]
         self.radii = tip_radii * np.array([finger.radius for finger in fingers])
         self.joint_names = driven
         self._set_limits()
-        self.bases, self.spans = _reaches(self._model, self._tips)
-        self.finger_mass = sum(body.mass for body in self._model.inertias[1:]) / self.fingers
+        self.bases, self.spans = _reaches(self.model, self.tip_frames)
+        self.finger_mass = sum(body.mass for body in self.model.inertias[1:]) / self.fingers
         self.finger_weight = 9.81 * self.finger_mass
         self.minimum_force = 0.01 * self.finger_weight
 
@@ -205,21 +210,11 @@ class Hand:
         part, fingers = copy(self), np.flatnonzero(chosen)
         part.fingers = len(fingers)
         part.finger_names = [self.finger_names[i] for i in fingers]
-        part._tips = [self._tips[i] for i in fingers]
+        part.tip_frames = [self.tip_frames[i] for i in fingers]
         part._centers = [self._centers[i] for i in fingers]
         part._support, part.radii = self._support[chosen], self.radii[chosen]
         part.bases, part.spans = self.bases[chosen], self.spans[chosen]
         return part
-
-    @property
-    def model(self) -> pin.Model:
-        """Pinocchio's model of all joints, also of those that follow; it must not be changed."""
-        return self._model
-
-    @property
-    def tip_frames(self) -> list[int]:
-        """Frames of the model at the centers of the fingertips, by finger."""
-        return self._tips
 
     @property
     def moves(self) -> NDArray[np.bool_]:
@@ -229,7 +224,7 @@ class Hand:
 
     def _set_limits(self) -> None:
         """Take the limits of the model; those of a joint that follows limit the one it follows."""
-        model = self._model
+        model = self.model
         index = {name: i for i, name in enumerate(model.names[1:])}
         own = [index[name] for name in self.joint_names]
         efforts, speeds = model.effortLimit[own], model.velocityLimit
@@ -260,64 +255,41 @@ class Hand:
     @property
     def gravity(self) -> Array:
         """Acceleration of gravity in the palm frame, shape (3,), m/s^2."""
-        return np.array(self._model.gravity.linear)
+        return np.array(self.model.gravity.linear)
 
     @gravity.setter
     def gravity(self, gravity: Array) -> None:
-        self._model.gravity.linear = gravity
+        self.model.gravity.linear = gravity
 
     def fingertips(self, theta: Array) -> Fingertips:
-        """Return fingertip centers and Jacobians, equation (1).
-
-        Args:
-            theta: Joint angles, shape (m,), rad.
-        """
-        pin.computeJointJacobians(self._model, self._data, self.all_angles(theta))
-        return self._read_fingertips()
-
-    def tip_positions(self, theta: Array) -> Array:
-        """Return the centers of the fingertips, palm frame, shape (k, 3), m.
-
-        Args:
-            theta: Joint angles, shape (m,), rad.
-        """
-        pin.forwardKinematics(self._model, self._data, self.all_angles(theta))
-        return self._read_centers()
-
-    def _read_centers(self) -> Array:
-        pin.updateFramePlacements(self._model, self._data)
-        out = np.empty((len(self._tips), 3))
-        for i, center in enumerate(self._centers):
-            out[i] = center
-        return out
-
-    def _read_fingertips(self) -> Fingertips:
+        """Return fingertip centers and Jacobians, equation (1)."""
+        pin.computeJointJacobians(self.model, self._data, self.all_angles(theta))
         centers = self._read_centers()
         jacobians = tip_jacobians(self._spatial, self._support, self._coupling, centers)
         return Fingertips(centers, *jacobians)
 
-    def dynamics(self, theta: Array, rates: Array) -> tuple[Fingertips, Array, Array]:
-        """Return fingertips, inertia matrix M_h and bias C_h theta' + N_h of equation (3).
+    def tip_positions(self, theta: Array) -> Array:
+        """Return the centers of the fingertips, palm frame, shape (k, 3), m."""
+        pin.forwardKinematics(self.model, self._data, self.all_angles(theta))
+        return self._read_centers()
 
-        Args:
-            theta: Joint angles, shape (m,), rad.
-            rates: Joint rates, shape (m,), rad/s.
+    def _read_centers(self) -> Array:
+        pin.updateFramePlacements(self.model, self._data)
+        out = np.empty((len(self.tip_frames), 3))
+        for i, center in enumerate(self._centers):
+            out[i] = center
+        return out
 
-        Returns:
-            Fingertips, inertia matrix of shape (m, m) and bias torques of shape (m,), N m.
-        """
+    def dynamics(self, theta: Array, rates: Array) -> Dynamics:
+        """Return fingertips, inertia matrix M_h and bias C_h theta' + N_h of equation (3)."""
         raw = self.raw_dynamics(theta, rates)
         jacobians = tip_jacobians(raw.spatial, raw.support, raw.coupling, raw.centers)
-        return Fingertips(raw.centers, *jacobians), mirrored(raw.inertia), raw.bias.copy()
+        tips = Fingertips(raw.centers, *jacobians)
+        return Dynamics(tips, mirrored(raw.inertia), raw.bias.copy())
 
     def raw_dynamics(self, theta: Array, rates: Array) -> RawDynamics:
-        """Return the raw arrays of `dynamics`, which the next call overwrites.
-
-        Args:
-            theta: Joint angles, shape (m,), rad.
-            rates: Joint rates, shape (m,), rad/s.
-        """
-        model, data, s = self._model, self._data, self._coupling
+        """Return the raw arrays of `dynamics`, which the next call overwrites."""
+        model, data, s = self.model, self._data, self._coupling
         theta, rates = self.all_angles(theta), self._all_rates(rates)
         pin.computeJointJacobians(model, data, theta)
         pin.crba(model, data, theta)
@@ -331,8 +303,8 @@ class Hand:
         """Return the joint torques that balance the turning of the palm, shape (m,), N m.
 
         Args:
-            theta: Joint angles, shape (m,), rad.
-            rates: Joint rates, shape (m,), rad/s.
+            theta: Joint angles.
+            rates: Joint rates.
             spin: Angular velocity of the palm, palm axes, shape (3,), rad/s.
             acceleration: Its angular acceleration, shape (3,), rad/s^2.
         """
@@ -351,57 +323,24 @@ class Hand:
         return np.asarray(self._driven(more[6:]))
 
     def gravity_torque(self, theta: Array) -> Array:
-        """Return the torques that hold the links against gravity, shape (m,), N m.
-
-        Args:
-            theta: Joint angles, shape (m,), rad.
-        """
-        torque = pin.computeGeneralizedGravity(self._model, self._data, self.all_angles(theta))
+        """Return the torques that hold the links against gravity, shape (m,), N m."""
+        torque = pin.computeGeneralizedGravity(self.model, self._data, self.all_angles(theta))
         return np.array(self._driven(torque))
 
-    def kinetic_energy(self, theta: Array, rates: Array) -> float:
-        """Return the kinetic energy of the links, J.
-
-        Args:
-            theta: Joint angles, shape (m,), rad.
-            rates: Joint rates, shape (m,), rad/s.
-        """
-        at = self.all_angles(theta), self._all_rates(rates)
-        return float(pin.computeKineticEnergy(self._model, self._data, *at))
-
-    def potential_energy(self, theta: Array) -> float:
-        """Return the potential energy of the links, J.
-
-        Args:
-            theta: Joint angles, shape (m,), rad.
-        """
-        return float(pin.computePotentialEnergy(self._model, self._data, self.all_angles(theta)))
-
     def tip_rotations(self, theta: Array) -> Array:
-        """Return the frames of the tip links, with x along the link, palm frame, shape (k, 3, 3).
-
-        Args:
-            theta: Joint angles, shape (m,), rad.
-        """
-        pin.framesForwardKinematics(self._model, self._data, self.all_angles(theta))
-        return np.array([self._data.oMf[frame].rotation for frame in self._tips])
+        """Return the tips' frames with x along the link, palm frame, shape (k, 3, 3)."""
+        pin.framesForwardKinematics(self.model, self._data, self.all_angles(theta))
+        return np.array([self._data.oMf[frame].rotation for frame in self.tip_frames])
 
     def joint_positions(self, theta: Array) -> list[list[Array]]:
-        """Return joint and tip positions along every finger, palm frame, each of shape (3,), m.
-
-        Args:
-            theta: Joint angles, shape (m,), rad.
-        """
-        pin.framesForwardKinematics(self._model, self._data, self.all_angles(theta))
-        return [self._chain(frame) for frame in self._tips]
-
-    def _chain(self, frame: int) -> list[Array]:
-        points = [self._data.oMf[frame].translation.copy()]
-        joint = self._model.frames[frame].parentJoint
-        while joint > 0:
-            points.append(self._data.oMi[joint].translation.copy())
-            joint = self._model.parents[joint]
-        return points[::-1]
+        """Return joint and tip positions along every finger, palm frame, each of shape (3,), m."""
+        pin.framesForwardKinematics(self.model, self._data, self.all_angles(theta))
+        data = self._data
+        chains = ((_chain(self.model, frame), data.oMf[frame]) for frame in self.tip_frames)
+        return [
+            [place.translation.copy() for place in (*(data.oMi[joint] for joint in chain), tip)]
+            for chain, tip in chains
+        ]
 
 
 def _stretch(model: pin.Model, factor: float) -> None:
@@ -416,14 +355,16 @@ def _stretch(model: pin.Model, factor: float) -> None:
             frame.placement.translation = factor * frame.placement.translation
 
 
+def _chain(model: pin.Model, frame: int) -> list[int]:
+    """Return the joints between the palm and a frame, in this order."""
+    return list(model.supports[model.frames[frame].parentJoint])[1:]
+
+
 def _support(model: pin.Model, tips: list[int]) -> NDArray[np.bool_]:
-    """Return which joints move which tip frame, shape (k, m)."""
+    """Return which joints move which tip frame, shape (k, n)."""
     out = np.zeros((len(tips), model.nv), dtype=bool)
     for i, frame in enumerate(tips):
-        joint = model.frames[frame].parentJoint
-        while joint > 0:
-            out[i, model.idx_vs[joint]] = True
-            joint = model.parents[joint]
+        out[i, [model.idx_vs[joint] for joint in _chain(model, frame)]] = True
     return out
 
 
@@ -432,16 +373,15 @@ def _reaches(model: pin.Model, tips: list[int]) -> tuple[Array, Array]:
 
     A finger is at most as long as the sum of its links and the travels of its sliding joints.
     """
-    bases, spans = np.empty((len(tips), 3)), np.empty(len(tips))
+    bases, spans = np.empty((len(tips), 3)), np.zeros(len(tips))
     travels = np.maximum(np.abs(model.lowerPositionLimit), np.abs(model.upperPositionLimit))
     for i, frame in enumerate(tips):
-        joint, piece = model.frames[frame].parentJoint, model.frames[frame].placement
-        spans[i] = 0.0
-        while joint > 0:
+        piece = model.frames[frame].placement
+        for joint in reversed(_chain(model, frame)):
             spans[i] += np.linalg.norm(piece.translation)
             if model.joints[joint].shortname().startswith("JointModelP"):
                 spans[i] += travels[model.idx_qs[joint]]
-            joint, piece = model.parents[joint], model.jointPlacements[joint]
+            piece = model.jointPlacements[joint]
         bases[i] = piece.translation
     return bases, spans
 

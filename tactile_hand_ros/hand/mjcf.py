@@ -9,12 +9,11 @@ from xml.etree.ElementTree import Element, SubElement
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
+from tactile_hand_ros.compiled import Array
 from tactile_hand_ros.errors import HandModelError
 from tactile_hand_ros.extras import optional
-
-Array = NDArray[np.float64]
+from tactile_hand_ros.rotations import rotation_from_quaternion
 
 _FREE, _SLIDE, _HINGE = 0, 2, 3  # of mjtJoint
 _ENDLESS = 1e3  # N m or N, effort of a joint without an actuator that has a limit
@@ -97,7 +96,7 @@ def _add_joints(root: Element, model: Any, body: int, efforts: Array) -> None:
             "prismatic" if kind == _SLIDE else limited,
             parent,
             child,
-            place + _turned(turn, at - before),
+            place + _matrix(turn) @ (at - before),
             turn,
         )
         if child != name:
@@ -128,12 +127,7 @@ def _add_origin(element: Element, place: Array, turn: Array) -> None:
 
 def _matrix(turn: Array) -> Array:
     """Return the rotation of a quaternion (w, x, y, z) of MuJoCo."""
-    w, x, y, z = turn
-    return np.asarray(pin.Quaternion(w, x, y, z).normalized().matrix())
-
-
-def _turned(turn: Array, vector: Array) -> Array:
-    return np.asarray(_matrix(turn) @ vector)
+    return rotation_from_quaternion(np.roll(turn, -1))
 
 
 def _text(vector: Array) -> str:

@@ -10,13 +10,12 @@ from xml.etree.ElementTree import Element
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
+from tactile_hand_ros.compiled import Array
 from tactile_hand_ros.config.hand_config import FingerConfig, HandConfig
 from tactile_hand_ros.errors import HandModelError
 from tactile_hand_ros.extras import optional
-
-Array = NDArray[np.float64]
+from tactile_hand_ros.hand.extract import three_numbers
 
 _END = 0.25  # of the extent along the axis, where the fit starts
 _ROUNDS = 10  # of fitting and choosing points again
@@ -49,9 +48,10 @@ def fitted_tips(config: HandConfig, description: str) -> tuple[list[FingerConfig
         HandModelError: If a tip has neither radius nor mesh.
     """
     fingers, errors = list(config.fingers), np.zeros(len(config.fingers))
+    root = ElementTree.fromstring(description)
     for i, finger in enumerate(fingers):
         if finger.radius == 0.0:
-            points = _points(ElementTree.fromstring(description), finger, config.file)
+            points = _points(root, finger, config.file)
             fit = fit_tip(points, np.array(finger.axis))
             update = {"center": fit.center, "radius": fit.radius}
             fingers[i], errors[i] = finger.model_copy(update=update), fit.error
@@ -96,11 +96,9 @@ def _points(root: Element, finger: FingerConfig, file: Path) -> Array:
         trimesh = optional("trimesh", "Fitting a fingertip")
         body = trimesh.load(_mesh_file(str(mesh.get("filename")), file), force="mesh")
         points, _ = trimesh.sample.sample_surface(body, _SAMPLES, seed=0)
-        points = points * _vector("1 1 1" if mesh.get("scale") is None else mesh.get("scale"))
-        if origin is None:
-            return np.asarray(points)
-        turn = pin.rpy.rpyToMatrix(_vector(origin.get("rpy", "0 0 0")))
-        return np.asarray(points @ turn.T + _vector(origin.get("xyz", "0 0 0")))
+        turn = pin.rpy.rpyToMatrix(three_numbers(origin, "rpy"))
+        place = three_numbers(origin, "xyz")
+        return np.asarray(points * three_numbers(mesh, "scale", "1 1 1") @ turn.T + place)
     raise HandModelError(
         f"finger '{finger.name}' has no radius, and its tip link '{finger.tip}' has no mesh to fit "
         "one to; give 'radius' and 'center' in the hand's YAML"
@@ -115,7 +113,3 @@ def _mesh_file(name: str, file: Path) -> Path:
             if candidate.is_file():
                 return candidate
     raise HandModelError(f"the mesh '{name}' is not beside '{file}'; correct the URDF")
-
-
-def _vector(text: str | None) -> Array:
-    return np.array([float(word) for word in str(text).split()])

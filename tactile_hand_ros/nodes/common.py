@@ -11,8 +11,9 @@ from geometry_msgs.msg import PoseArray, WrenchStamped
 
 from tactile_hand_ros import names
 from tactile_hand_ros.compiled import Array
-from tactile_hand_ros.ros.messages import ContactsCodec, WrenchCodec
+from tactile_hand_ros.ros.messages import ContactsCodec, PoseCodec, WrenchCodec
 from tactile_hand_ros.ros.node import TactileNode
+from tactile_hand_ros.rotations import quaternion_from_rotation
 
 _MAXIMUM = 5
 """Maximum number of lines per second; further changes are not logged."""
@@ -45,6 +46,14 @@ class ModeLog:
             self._log(f"{before} -> {mode}" + (f": {reason}" if reason else ""))
 
 
+def rotated_pose_encoder() -> Callable[[Array, Array, int], bytes]:
+    """Return an encoder of a position, a rotation matrix and a stamp [ns] as a pose."""
+    encode = PoseCodec().encode
+    return lambda position, rotation, stamp: encode(
+        position, quaternion_from_rotation(rotation), stamp
+    )
+
+
 class ReadingPublisher:
     """Publishes contacts and forces: one PoseArray, and one WrenchStamped per finger."""
 
@@ -61,14 +70,7 @@ class ReadingPublisher:
         self._wrenches = WrenchPublishers(node, fingers, wrench_topic)
 
     def publish(self, stamp_ns: int, positions: Array, quaternions: Array, forces: Array) -> None:
-        """Publish a tick.
-
-        Args:
-            stamp_ns: The tick [ns].
-            positions: Contact points in the palm frame [m]. Shape (k, 3).
-            quaternions: Contact frames, order x, y, z, w. Shape (k, 4).
-            forces: Forces on the object in the contact frames [N]. Shape (k, 3).
-        """
+        """Publish the reading of a tick [ns]; see `TactileReading`."""
         self._contacts.publish(positions, quaternions, stamp_ns)
         self._wrenches.publish(stamp_ns, forces)
 

@@ -17,11 +17,10 @@ import sys
 from collections.abc import Iterator, Sequence
 from typing import Any, cast
 
-import numpy as np
-from numpy.typing import NDArray
 from rclpy.node import Node
 
 from tactile_hand_ros.closed_loop.loop import Chain, SensingChain
+from tactile_hand_ros.compiled import Array
 from tactile_hand_ros.control.contact import Contacts
 from tactile_hand_ros.names import RECORD
 from tactile_hand_ros.nodes.force_optimizer import ForceOptimizerNode
@@ -32,12 +31,10 @@ from tactile_hand_ros.nodes.tactile_sensor import TactileSensorNode
 from tactile_hand_ros.ros import streams
 from tactile_hand_ros.ros.endpoints import TickFailedError
 from tactile_hand_ros.ros.messages import Joints
+from tactile_hand_ros.ros.node import TactileNode
 from tactile_hand_ros.ros.runner import run_nodes
 from tactile_hand_ros.ros.ticks import TickInputs
 from tactile_hand_ros.simulation.plant import PlantState
-from tactile_hand_ros.simulation.skin import TactileReading
-
-Array = NDArray[np.float64]
 
 MEMBERS = (
     PlantNode,
@@ -49,41 +46,49 @@ MEMBERS = (
 CONTROLLERS = MEMBERS[2:]
 
 
-class ComposedHand:
-    """The nodes that answer the plant's ticks in its process."""
+class _Wired:
+    """Nodes that a chain calls; they were created with `composed`."""
 
-    def __init__(
-        self,
-        sensor: TactileSensorNode,
-        regulator: SlipRegulatorNode,
-        optimizer: ForceOptimizerNode,
-        controller: ManipulationControllerNode,
-    ) -> None:
-        """Wire the nodes, which must be created with `composed`."""
-        self._nodes = sensor, regulator, optimizer, controller
-        self._controller = controller
-        self._chain = SensingChain(*cast(Any, self._nodes))
+    def __init__(self, *nodes: TactileNode[Any]) -> None:
+        self._nodes = nodes
+        self._controller = cast(ManipulationControllerNode, nodes[-1])
+
+    def on_repeat(self) -> None:
+        """Publish the last answers again."""
+        for node in self._nodes:
+            node.on_repeat()
+
+    def on_restart(self) -> None:
+        """Reset the nodes after the timestamps have started over."""
+        for node in self._nodes:
+            node.on_restart()
+
+
+class ComposedHand(_Wired):
+    """The nodes that answer the plant's ticks in its process: sensor to controller."""
+
+    def __init__(self, *nodes: TactileNode[Any]) -> None:
+        """Wire the nodes."""
+        super().__init__(*nodes)
+        self._chain = SensingChain(*cast(Any, (*nodes[1:], nodes[0])))
         self._last: tuple[int, Array | None] = -1, None
 
-    def answer(
-        self, stamp: int, state: PlantState, true: TactileReading, sliding: Array
-    ) -> Array | None:
+    def answer(self, stamp: int, state: PlantState) -> Array | None:
         """Return the torque for a tick, shape (m,), N m, and publish all answers.
 
         The result is None if a node failed or the torque must not be sent. A repeated tick gets the
         same answer again.
         """
         if stamp == self._last[0]:
-            for node in self._nodes:
-                node.on_repeat()
+            self.on_repeat()
             return self._last[1]
         torque = None
         try:
-            _, answer = self._chain.sense(stamp, state, true, sliding)
+            command = self._chain.sense(stamp, state)[1].command
         except TickFailedError:
             pass
         else:
-            torque = None if answer.command.do_not_send else answer.command.torque
+            torque = None if command.do_not_send else command.torque
         self._last = stamp, torque
         return torque
 
@@ -91,27 +96,20 @@ class ComposedHand:
         """Set whether the guard holds the joints."""
         self._controller.joints_held = held
 
-    def restart(self) -> None:
+    def on_restart(self) -> None:
         """Start over after time was set back."""
         self._last = -1, None
-        for node in self._nodes:
-            node.on_restart()
+        super().on_restart()
 
 
-class TouchedHand:
+class TouchedHand(_Wired):
     """The three controllers of a real hand, whose drivers provide joints and touch."""
 
-    def __init__(
-        self,
-        regulator: SlipRegulatorNode,
-        optimizer: ForceOptimizerNode,
-        controller: ManipulationControllerNode,
-    ) -> None:
-        """Wire the nodes, which must be created with `composed`, and subscribe."""
-        self._nodes = regulator, optimizer, controller
-        self._controller = controller
-        self._chain = Chain(*cast(Any, self._nodes))
-        hand = controller.hand
+    def __init__(self, *nodes: TactileNode[Any]) -> None:
+        """Wire the nodes and subscribe."""
+        super().__init__(*nodes)
+        self._chain = Chain(*cast(Any, nodes))
+        controller, hand = self._controller, self._controller.hand
         declared = [
             streams.joints(hand.joint_names),
             streams.contacts(hand.fingers),
@@ -138,16 +136,6 @@ class TouchedHand:
     def on_blind_tick(self, stamp: int, joints: Joints, reason: str) -> None:
         """Hold the hand at a tick without touch."""
         self._controller.on_blind_tick(stamp, joints, reason)
-
-    def on_repeat(self) -> None:
-        """Publish the last answers again."""
-        for node in self._nodes:
-            node.on_repeat()
-
-    def on_restart(self) -> None:
-        """Reset the nodes after the timestamps have started over."""
-        for node in self._nodes:
-            node.on_restart()
 
 
 def composed_nodes(*, record: bool = False, **kwargs: Any) -> Iterator[Node]:

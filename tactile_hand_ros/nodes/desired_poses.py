@@ -37,10 +37,7 @@ class DesiredPoses:
     """
 
     def __init__(
-        self,
-        node: TactileNode[Any],
-        controller: Controller,
-        last_tick: Callable[[], int | None],
+        self, node: TactileNode[Any], controller: Controller, last_tick: Callable[[], int | None]
     ) -> None:
         """Create both ends; `last_tick` returns the last tick [ns], or None before the first."""
         self._node, self._controller = node, controller

@@ -26,22 +26,21 @@ from tactile_hand_ros import names
 from tactile_hand_ros.compiled import Array
 from tactile_hand_ros.control.contact import Contacts, example_touch
 from tactile_hand_ros.control.controller import Command, Controller, ControllerConfig, Mode
-from tactile_hand_ros.control.laws import AuxiliaryPose, Target
+from tactile_hand_ros.control.laws import Target
 from tactile_hand_ros.control.margins import UNKNOWN_MARGINS, GraspMonitor
 from tactile_hand_ros.errors import ConfigurationError, GraspError
 from tactile_hand_ros.hand.hand import Hand
-from tactile_hand_ros.nodes.common import ModeLog
+from tactile_hand_ros.nodes.common import ModeLog, rotated_pose_encoder
 from tactile_hand_ros.nodes.desired_poses import DesiredPoses
 from tactile_hand_ros.nodes.user_changes import AppliedChanges
 from tactile_hand_ros.own_law import take_law
 from tactile_hand_ros.ros import qos, streams
 from tactile_hand_ros.ros.diagnostics import WARN
 from tactile_hand_ros.ros.endpoints import TickFailedError
-from tactile_hand_ros.ros.messages import JointCodec, Joints, PoseCodec, check_output
+from tactile_hand_ros.ros.messages import JointCodec, Joints, check_output
 from tactile_hand_ros.ros.node import TactileNode
 from tactile_hand_ros.ros.runner import run_node
 from tactile_hand_ros.ros.ticks import TickInputs
-from tactile_hand_ros.rotations import quaternion_from_rotation
 
 _AT_LIMIT = "a joint is at the effort limit of the URDF; lower the grasp force or the gains"
 
@@ -66,8 +65,8 @@ class ControllerReport:
         self, command: Command, theta: Array | None = None, contacts: Contacts | None = None
     ) -> None:
         """Record an answer with its joints and contacts, None if they were missing."""
-        last, self._last, self._contacts = self._last, command, contacts
-        self._theta = theta
+        last, self._last = self._last, command
+        self._theta, self._contacts = theta, contacts
         if last is not None and (command.mode, command.reason) == (last.mode, last.reason):
             return
         self._modes.note(command.mode.value, command.reason)
@@ -85,16 +84,14 @@ class ControllerReport:
     def report(self, target: Target | None) -> None:
         """Add mode, distance to the target and margins of the grasp to the diagnostics."""
         put, last = self._node.diagnostics.value, self._last
-        if last is not None:
-            put("mode", last.mode.value)
-        if last is not None and last.pose is not None and target is not None:
+        if last is None:
+            return
+        put("mode", last.mode.value)
+        if last.pose is not None and target is not None:
             error = float(np.linalg.norm(target.position - last.pose.position))
             put("position_error_m", error)
-        if self._contacts is None or self._theta is None:
-            if last is None:
-                return
-            margins = UNKNOWN_MARGINS
-        else:
+        margins = UNKNOWN_MARGINS
+        if self._contacts is not None and self._theta is not None:
             margins = self._watch.margins(self._theta, self._contacts)
         put("A1 face_travel_m", margins.face_travel)
         put("A2 hemisphere_margin_rad", margins.hemisphere)
@@ -157,18 +154,15 @@ class ManipulationControllerNode(TactileNode[ControllerConfig]):
         self._tick: int | None = None
         self._time_waits, self._is_unsent, self._is_limited = time_waits, False, False
         self._answer: tuple[int, Command] | None = None
-        self._changes = AppliedChanges(self, names.CONTROLLER, requests=True, commands=True)
+        self._changes = AppliedChanges(self, names.CONTROLLER, commands=True)
         self._changes.begin(self.config)
         self._changes.state("enable", True)
         hand = self._controller.hand
         self._limits = hand.effort_limits
-        torques, self._encode_pose = JointCodec(hand.joint_names, ("effort",)), PoseCodec().encode
-        self._command_publisher = self.tick_publisher(
-            JointState, names.JOINT_COMMAND, torques.encode
-        )
-        self._pose_publisher = self.tick_publisher(
-            PoseStamped, names.AUXILIARY_POSE, self._encoded_pose
-        )
+        torques, pose = JointCodec(hand.joint_names, ("effort",)).encode, rotated_pose_encoder()
+        publisher = self.tick_publisher
+        self._command_publisher = publisher(JointState, names.JOINT_COMMAND, torques)
+        self._pose_publisher = publisher(PoseStamped, names.AUXILIARY_POSE, pose)
         # Created first, so that a waiting pose is handled before a waiting tick.
         self._desired = DesiredPoses(self, self._controller, lambda: self._tick)
         self._rejection = self.create_publisher(Bool, names.TOUCH_REJECTED, qos.latched_qos())
@@ -285,10 +279,8 @@ class ManipulationControllerNode(TactileNode[ControllerConfig]):
             response.success, response.message = False, str(error)
             return response
         self._changes.request("grasp", request.data)
-        if request.data and not self._controller.is_open:
-            response.success, response.message = True, "the hand is not open"
-        else:
-            response.success, response.message = True, "closing" if request.data else "opening"
+        closing = "closing" if self._controller.is_open else "the hand is not open"
+        response.success, response.message = True, closing if request.data else "opening"
         return response
 
     def on_tick(
@@ -402,11 +394,8 @@ class ManipulationControllerNode(TactileNode[ControllerConfig]):
         self._command_publisher.publish(stamp, torque)
         self._changes.take_effect(stamp)
         if command.pose is not None:
-            self._pose_publisher.publish(command.pose, stamp)
+            self._pose_publisher.publish(*command.pose, stamp)
         return command
-
-    def _encoded_pose(self, pose: AuxiliaryPose, stamp: int) -> bytes:
-        return self._encode_pose(pose.position, quaternion_from_rotation(pose.orientation), stamp)
 
     def _limited(self, torque: Array) -> Array:
         """Clip a torque to the joints' effort limits, and warn if it exceeds them."""

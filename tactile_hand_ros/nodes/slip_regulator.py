@@ -34,16 +34,11 @@ from tactile_hand_ros.control.margins import SlipMonitor
 from tactile_hand_ros.control.slip.detector import ContactState
 from tactile_hand_ros.control.slip.regulator import SlipRegulator, SlipRegulatorConfig
 from tactile_hand_ros.errors import UnsafeOutputError
-from tactile_hand_ros.nodes.common import ModeLog
+from tactile_hand_ros.nodes.common import ModeLog, WrenchPublishers
 from tactile_hand_ros.nodes.user_changes import AppliedChanges
 from tactile_hand_ros.ros import qos, streams
 from tactile_hand_ros.ros.diagnostics import WARN, Diagnostics, Mostly
-from tactile_hand_ros.ros.messages import (
-    JointCodec,
-    WrenchCodec,
-    feedback_message,
-    read_number,
-)
+from tactile_hand_ros.ros.messages import JointCodec, WrenchCodec, feedback_message, read_number
 from tactile_hand_ros.ros.node import TactileNode
 from tactile_hand_ros.ros.runner import run_node
 from tactile_hand_ros.ros.ticks import TickInputs
@@ -55,8 +50,8 @@ HAPTIC_PERIOD_NS = 20_000_000
 class GripState(NamedTuple):
     """The regulator's estimates for each contact, arrays of shape (k,)."""
 
-    friction: NDArray[np.float64]
-    evidence: NDArray[np.float64]
+    friction: Array
+    evidence: Array
     grip: NDArray[np.int_]
 
     @classmethod
@@ -87,7 +82,7 @@ class RegulatorReport:
         regulator: SlipRegulator,
         stamp: int,
         contacts: Contacts,
-        forces: NDArray[np.float64],
+        forces: Array,
         state: GripState,
     ) -> None:
         """Record a tick: measurements in contact frames and the regulator's estimates."""
@@ -180,7 +175,7 @@ class SlipRegulatorNode(TactileNode[SlipRegulatorConfig]):
         super().__init__("slip_regulator", SlipRegulatorConfig, **kwargs)
         fingers = load_hand_config(self.config.hand).finger_names
         self._regulator = SlipRegulator(self.config, len(fingers))
-        self._changes = AppliedChanges(self, names.REGULATOR, requests=True, commands=True)
+        self._changes = AppliedChanges(self, names.REGULATOR, commands=True)
         self._report = RegulatorReport(self.diagnostics, fingers)
         self._modes = ModeLog(self.get_logger().info)
         self._modes.note(self.config.mode)
@@ -189,11 +184,7 @@ class SlipRegulatorNode(TactileNode[SlipRegulatorConfig]):
         self._grip_publisher = self.tick_publisher(JointState, names.GRIP_STATE, grips)
         margins = JointCodec(fingers, ("position", "effort")).encode
         self._margin_publisher = self.tick_publisher(JointState, names.GRIP_MARGIN, margins)
-        self._load_publishers = [
-            self.tick_publisher(WrenchStamped, names.load(finger), codec.encode)
-            for finger in fingers
-            for codec in [WrenchCodec(names.contact_frame(finger), nan_allowed=True)]
-        ]
+        self._load_publishers = WrenchPublishers(self, fingers, names.load, nan_allowed=True)
         self._encode = WrenchCodec(names.PALM_FRAME).encode
         self._publisher = self.tick_publisher(WrenchStamped, names.GRASP_FORCE, self._encode)
         self._haptic_publisher = self.create_publisher(
@@ -285,8 +276,7 @@ class SlipRegulatorNode(TactileNode[SlipRegulatorConfig]):
             self._grip_publisher.publish(stamp, *state)
             load, friction, reserve = regulator.carried
             self._margin_publisher.publish(stamp, friction, reserve)
-            for publisher, force in zip(self._load_publishers, load.tolist(), strict=True):
-                publisher.publish(force, stamp)
+            self._load_publishers.publish(stamp, load)
             self._publisher.publish((0.0, grasp_force, 0.0), stamp)
             self._changes.take_effect(stamp)
             self._report.note(regulator, stamp, contacts, forces, state)

@@ -96,7 +96,7 @@ class TactileSensorNode(TactileNode[TactileSensorConfig]):
         joints: Joints | None = None,
     ) -> None:
         """Answer a complete tick."""
-        true = TactileReading(contacts.positions, contacts.quaternions, forces)
+        true = TactileReading(*contacts, forces)
         self.step(stamp, true, sliding[1], None if joints is None else joints.theta)
 
     def step(
@@ -105,7 +105,7 @@ class TactileSensorNode(TactileNode[TactileSensorConfig]):
         """Publish and return the tactile reading; see `TactileSensor.step`."""
         with self.answering():
             touch = self._sensor.step(stamp, true, sliding, theta)
-            self._publisher.publish(stamp, touch.positions, touch.quaternions, touch.forces)
+            self._publisher.publish(stamp, *touch)
         return touch
 
 

@@ -35,33 +35,23 @@ class AppliedChanges:
 
     Publications: `accepted/<node>/parameters` (rcl_interfaces/ParameterEvent: the whole
     configuration in force; at the first tick, when ticks start again and after each change;
-    transient local). For nodes with services or latched inputs, `accepted/<node>/requests`
+    transient local). For nodes with user commands and services, `accepted/<node>/requests`
     (diagnostic_msgs/DiagnosticArray: one key, the service or topic, with `true`, `false` or
-    nothing). For nodes with user commands, `rejected/<node>` (diagnostic_msgs/DiagnosticArray: the
-    topic of a rejected command and the reason).
+    nothing) and `rejected/<node>` (diagnostic_msgs/DiagnosticArray: the topic of a rejected command
+    and the reason).
     """
 
-    def __init__(
-        self,
-        node: TactileNode[Any],
-        name: str,
-        *,
-        requests: bool = False,
-        commands: bool = False,
-    ) -> None:
+    def __init__(self, node: TactileNode[Any], name: str, *, commands: bool = False) -> None:
         """Create the publishers; the node's name in topics is defined in `names`."""
         self._name, self._full_name = name, node.get_fully_qualified_name()
         self._waiting: list[tuple[Publisher, MessageAt]] = []
         self._parameters = node.create_publisher(
             ParameterEvent, names.accepted_parameters(name), qos.latched_qos(qos.USER_DEPTH)
         )
-        if requests:
-            self._requests = node.create_publisher(
-                DiagnosticArray, names.accepted_requests(name), qos.user_qos()
-            )
         if commands:
-            self._rejected = node.create_publisher(
-                DiagnosticArray, names.rejected(name), qos.user_qos()
+            self._requests, self._rejected = (
+                node.create_publisher(DiagnosticArray, topic, qos.user_qos())
+                for topic in (names.accepted_requests(name), names.rejected(name))
             )
         self._states: dict[str, bool] = {}
         self._answered, self._rejections = 0, 0

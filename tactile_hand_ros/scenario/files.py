@@ -45,7 +45,9 @@ def read_layers(path: Path, seen: tuple[Path, ...] = ()) -> dict[str, Any]:
     under = read_layers(_find_base(str(base), path), (*seen, path))
     for key in _NOT_INHERITED:
         under.pop(key, None)
-    return merged(_without_layout(under, data), data)
+    if data.get("hand", under.get("hand")) != under.get("hand"):
+        under.pop("layout", None)  # of another hand
+    return merged(under, data)
 
 
 def _find_base(base: str, path: Path) -> Path:
@@ -98,13 +100,6 @@ def _beside(hand: str, folder: Path) -> str:
 def _mesh(file: str, folder: Path) -> str:
     """Return the absolute path of a mesh; empty stays empty."""
     return os.path.normpath(folder.resolve() / os.path.expanduser(file)) if file else ""
-
-
-def _without_layout(under: dict[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
-    """Return a scenario without its layout if another hand replaces its own."""
-    if over.get("hand", under.get("hand")) == under.get("hand"):
-        return under
-    return {key: value for key, value in under.items() if key != "layout"}
 
 
 def merged(under: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:

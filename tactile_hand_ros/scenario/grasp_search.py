@@ -15,8 +15,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tactile_hand_ros.compiled import Array
 from tactile_hand_ros.control.contact import (
     Contacts,
     contact_frame,
@@ -37,8 +37,6 @@ from tactile_hand_ros.rotations import rodrigues, vector_from_rotation
 from tactile_hand_ros.scenario.link_collisions import LinkCollisions
 from tactile_hand_ros.simulation.plant_config import ObjectConfig
 from tactile_hand_ros.simulation.solid import closest_point
-
-Array = NDArray[np.float64]
 
 STARTS = 40
 """Random postures for each choice of faces and of the finger that is alone."""
@@ -94,10 +92,7 @@ def expected_friction(friction: float) -> float:
 
 
 def search(
-    hand: Hand,
-    body: ObjectConfig,
-    seed: int = 0,
-    advance: Callable[[str], None] = lambda _: None,
+    hand: Hand, body: ObjectConfig, seed: int = 0, advance: Callable[[str], None] = lambda _: None
 ) -> list[FoundGrasp]:
     """Return the grasps that were found, the one that carries most first.
 
@@ -117,14 +112,14 @@ def search(
     for alone, axis in _choices(hand, body):
         problem = (_Problem if body.shape == "box" else _RoundProblem)(hand, body, alone, axis)
         for _ in range(STARTS):
-            grasp, reason = problem.solve(random, relied)
-            if grasp is not None:
-                touching = links.touching(grasp.theta, grasp.position, rodrigues(*grasp.rotation))
-                if touching:
-                    grasp, reason = None, f"{touching[0]} would be inside the object"
-            reasons.append(reason)
-            if grasp is not None:
+            try:
+                grasp = problem.solve(random, relied)
+                inside = links.touching(grasp.theta, grasp.position, rodrigues(*grasp.rotation))
+                if inside:
+                    raise GraspError(f"{inside[0]} would be inside the object")
                 found.append(grasp)
+            except GraspError as error:
+                reasons.append(str(error))
             advance(f"{hand.finger_names[alone]} against the others")
     if not found:
         most = max(set(reasons), key=reasons.count)
@@ -210,8 +205,12 @@ class _Problem:
         self._span = np.maximum(upper - lower, _NO_SPAN)
         self._scale = float(self._half.min())
 
-    def solve(self, random: Any, friction: float) -> tuple[FoundGrasp | None, str]:
-        """Return a grasp from a random posture, or why it is none."""
+    def solve(self, random: Any, friction: float) -> FoundGrasp:
+        """Return a grasp from a random posture.
+
+        Raises:
+            GraspError: If it is none.
+        """
         optimize = optional("scipy.optimize", "Searching for a grasp")
         theta = self._lower + random.uniform(0.2, 0.7, self._hand.joints) * self._span
         start = np.concatenate([theta, *self._placed(theta, random)])
@@ -272,27 +271,27 @@ class _Problem:
             ]
         )
 
-    def _judged(self, x: Array, friction: float) -> tuple[FoundGrasp | None, str]:
+    def _judged(self, x: Array, friction: float) -> FoundGrasp:
         tips, turn, theta = self._seen(x)
         hand, (gaps, inward) = self._hand, self._touched(tips)
         normals = inward @ turn.T
         if np.abs(gaps).max() > _TOUCH:
             worst = hand.finger_names[int(np.abs(gaps).argmax())]
-            return None, f"{worst} does not reach its side"
+            raise GraspError(f"{worst} does not reach its side")
         if (np.abs(tips[:, self._across]) > self._edges).any():
-            return None, "a contact is beyond an edge"
+            raise GraspError("a contact is beyond an edge")
         points = x[-6:-3] + tips @ turn.T + hand.radii[:, None] * normals
         contacts = Contacts(points, np.array([contact_frame(normal) for normal in normals]))
         left = float(room(hand, theta, contacts).min())
         if left < LEAST_ROOM:
-            return None, "a joint is near its end, or a contact near the rim of its fingertip"
+            raise GraspError("a joint is near its end, or a contact near the rim of its fingertip")
         optimal = ForceOptimizer(ForceOptimizerConfig(), hand.fingers).solve(contacts)
         if not optimal.ok:
-            return None, optimal.reason
+            raise GraspError(optimal.reason)
         normal, sideways = optimal.forces[:, 1], np.hypot(*optimal.forces[:, [0, 2]].T)
         needed = float((sideways / normal).max()) if (normal > 0.0).all() else np.inf
         if needed >= friction:
-            return None, f"friction of {friction:g} does not hold it"
+            raise GraspError(f"friction of {friction:g} does not hold it")
         fingertips = hand.fingertips(theta)
 
         def torques(forces: Array) -> Array:
@@ -304,11 +303,11 @@ class _Problem:
         used = np.abs(pressing) / (friction - needed) + np.linalg.norm(carrying, axis=0)
         load = float(((hand.effort_limits - np.abs(hand.gravity_torque(theta))) / used).min())
         if load <= 0.0:
-            return None, "the joints cannot carry the fingers"
+            raise GraspError("the joints cannot carry the fingers")
         pose = x[-6:-3].copy(), vector_from_rotation(turn)
         found = theta.copy(), *pose, contacts, needed, load / (friction - needed), left, load
         motions = motions_of_object(hand, theta, contacts)
-        return FoundGrasp(*found, motions), ""
+        return FoundGrasp(*found, motions)
 
 
 class _RoundProblem(_Problem):

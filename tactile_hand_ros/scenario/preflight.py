@@ -6,9 +6,9 @@ from __future__ import annotations
 import warnings
 
 import numpy as np
-from numpy.typing import NDArray
 
-from tactile_hand_ros.control.contact import hand_jacobian
+from tactile_hand_ros.compiled import Array
+from tactile_hand_ros.control.contact import Contacts, hand_jacobian
 from tactile_hand_ros.control.grasp import VirtualFrame, check_joints, check_spread
 from tactile_hand_ros.control.holds import largest_damping, largest_stiffness
 from tactile_hand_ros.control.laws import LAWS, AuxiliaryPose, LawConfig, LawInput, law_of
@@ -18,7 +18,8 @@ from tactile_hand_ros.errors import ConfigurationError, GraspError, TactileHandE
 from tactile_hand_ros.hand.hand import Hand
 from tactile_hand_ros.scenario.link_collisions import LinkCollisions
 from tactile_hand_ros.scenario.scenario import Scenario
-from tactile_hand_ros.simulation.engines import make_plant
+from tactile_hand_ros.simulation.mujoco_plant import make_plant
+from tactile_hand_ros.simulation.plant import Plant
 
 _HULL_EXCESS = 0.03  # of the volume of a mesh; 500 corners of a ball lack 1 %
 
@@ -37,49 +38,76 @@ def check_scenario(scenario: Scenario) -> None:
             user law fails.
     """
     plant = make_plant(scenario.plant)
-    if abs(excess := plant.solid.excess) > _HULL_EXCESS:
-        warnings.warn(
-            f"{scenario.plant.object.mesh}: fingers touch its convex hull, whose volume differs by "
-            f"{100.0 * excess:+.1f} % from that of the mesh; use a mesh with smaller dents",
-            stacklevel=2,
-        )
-    hand, state = plant.hand, plant.state
-    links = LinkCollisions(hand, plant.solid)
-    if inside := links.touching(state.theta, state.position, state.rotation):
-        warnings.warn(
-            f"the object starts inside {', '.join(inside)}, which the simulation does not feel; "
-            "place it elsewhere, as `tactile-hand grasp` does",
-            stacklevel=2,
-        )
-    contacts, law = state.contacts, scenario.manipulation_controller.law
-    _check_posture(hand, state.theta)
-    is_enough = contacts.enough_touching and law.name == "optimal"
-    if not (contacts.all_touching or is_enough):
-        i = int(np.flatnonzero(~contacts.touching)[0])
-        needed = "at least three" if law.name == "optimal" else "all"
-        raise GraspError(
-            f"{hand.finger_names[i]} starts {1e3 * state.gaps[i]:.1f} mm away from the object; "
-            f"{needed} fingers must touch: change initial_joints, the layout, or the object's size "
-            "or place"
-        )
-    hand, contacts = hand.part(contacts.touching), contacts.part(contacts.touching)
+    _warn_of_shapes(scenario, plant)
+    theta, contacts = plant.state.theta, plant.state.contacts
+    law = scenario.manipulation_controller.law
+    _check_posture(plant.hand, theta)
+    _check_touch(plant, law.name)
+    hand, contacts = plant.hand.part(contacts.touching), contacts.part(contacts.touching)
     check_spread(contacts.positions)
-    tips = hand.fingertips(state.theta)
+    tips = hand.fingertips(theta)
     check_joints(hand_jacobian(tips, contacts.positions, contacts.rotations))
     optimal = ForceOptimizer(scenario.force_optimizer, hand.fingers).solve(contacts)
     if not optimal.ok:
         raise GraspError(optimal.reason)
     _check_mode(scenario)
+    grasp = hand, theta, contacts
+    _check_targets(scenario, grasp)
+    _check_gains(scenario, grasp, plant.body_inertia)
+    if law.name not in LAWS:
+        grasp_force = scenario.slip_regulator.grasp_force
+        check_own_law(law, hand, LawInput(tips, contacts, optimal.forces, grasp_force))
+
+
+_Grasp = tuple[Hand, Array, Contacts]  # the fingers that touch, joint angles and contacts
+
+
+def _warn_of_shapes(scenario: Scenario, plant: Plant) -> None:
+    """Warn of a hull that is not the mesh, and of an object inside the links."""
+    if abs(excess := plant.solid.excess) > _HULL_EXCESS:
+        warnings.warn(
+            f"{scenario.plant.object.mesh}: fingers touch its convex hull, whose volume differs by "
+            f"{100.0 * excess:+.1f} % from that of the mesh; use a mesh with smaller dents",
+            stacklevel=3,
+        )
+    state, links = plant.state, LinkCollisions(plant.hand, plant.solid)
+    if inside := links.touching(state.theta, state.position, state.rotation):
+        warnings.warn(
+            f"the object starts inside {', '.join(inside)}, which the simulation does not feel; "
+            "place it elsewhere, as `tactile-hand grasp` does",
+            stacklevel=3,
+        )
+
+
+def _check_touch(plant: Plant, law: str) -> None:
+    """Reject a start with too few contacts for a law."""
+    hand, state = plant.hand, plant.state
+    contacts, needed = state.contacts, "at least three" if law == "optimal" else "all"
+    if contacts.all_touching or (contacts.enough_touching and law == "optimal"):
+        return
+    i = int(np.flatnonzero(~contacts.touching)[0])
+    raise GraspError(
+        f"{hand.finger_names[i]} starts {1e3 * state.gaps[i]:.1f} mm away from the object; "
+        f"{needed} fingers must touch: change initial_joints, the layout, or the object's size "
+        "or place"
+    )
+
+
+def _check_targets(scenario: Scenario, grasp: _Grasp) -> None:
+    """Reject a target out of reach; what it keeps is that of the target before."""
+    hand, theta, contacts = grasp
     frame = VirtualFrame().orientation(contacts.positions)
-    pose = AuxiliaryPose(contacts.centroid, frame)
-    there = pose
+    pose = there = AuxiliaryPose(contacts.centroid, frame)
     for target in scenario.targets:
         wanted = target.target().kept(there)
-        check_reach(hand, state.theta, contacts, pose, wanted)
+        check_reach(hand, theta, contacts, pose, wanted)
         there = AuxiliaryPose(wanted.position, wanted.orientation)
-    tick = 1.0 / scenario.plant.rate
-    grasp = hand, state.theta, contacts
-    most = {"damping": largest_damping(*grasp, plant.body_inertia, tick)}
+
+
+def _check_gains(scenario: Scenario, grasp: _Grasp, body: Array) -> None:
+    """Reject gains that are unstable at this rate; `body` is the inertia of the object."""
+    law, tick = scenario.manipulation_controller.law, 1.0 / scenario.plant.rate
+    most = {"damping": largest_damping(*grasp, body, tick)}
     if law.damping > 0.0:
         most["k_p"], most["k_o"] = largest_stiffness(*grasp, law.damping, 0.5 * tick)
     for name, largest in most.items():
@@ -89,12 +117,9 @@ def check_scenario(scenario: Scenario) -> None:
                 f"{largest:.2g}, and half of that or less where commands are late",
                 place=f"manipulation_controller.law.{name}",
             )
-    if law.name not in LAWS:
-        grasp_force = scenario.slip_regulator.grasp_force
-        check_own_law(law, hand, LawInput(tips, contacts, optimal.forces, grasp_force))
 
 
-def _check_posture(hand: Hand, theta: NDArray[np.float64]) -> None:
+def _check_posture(hand: Hand, theta: Array) -> None:
     """Reject an initial posture beyond the limits of a joint."""
     lower, upper = hand.position_limits
     beyond = np.flatnonzero((theta < lower) | (theta > upper))

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
@@ -17,17 +18,11 @@ from tactile_hand_ros.control.optimizer.force_optimizer import ForceOptimizerCon
 from tactile_hand_ros.control.slip.regulator import SlipRegulatorConfig
 from tactile_hand_ros.errors import ConfigurationError
 from tactile_hand_ros.own_law import take_law
-from tactile_hand_ros.rotations import rotation_from_vector
-from tactile_hand_ros.scenario.files import (
-    CONTROLLER,
-    put_changes,
-    read_layers,
-)
+from tactile_hand_ros.rotations import Vector, rotation_from_vector
+from tactile_hand_ros.scenario.files import CONTROLLER, merged, put_changes, read_layers
 from tactile_hand_ros.simulation.joint_sensor import EncoderConfig
 from tactile_hand_ros.simulation.plant_config import PlantConfig
 from tactile_hand_ros.simulation.skin import CalibrationConfig, TactileSensorConfig
-
-Vector = tuple[float, float, float]
 
 # Set once for the whole scenario and passed to every node that has such a parameter.
 _SHARED = ("hand", "layout", "gravity", "calibration", "seed", "duration")
@@ -139,8 +134,7 @@ class Scenario(Config):
                 raise ValueError(f"set '{wrong[0]}' once at the top, not in '{node}'")
             # Defaults too: those of a node may differ from those of the scenario.
             data[node] = {**section, **top}
-        _derive_holds(data)
-        return data
+        return merged(_derived(data), data)
 
     @model_validator(mode="after")
     def _the_hold_stays_inside_the_crush_limit(self) -> Scenario:
@@ -191,33 +185,27 @@ class Scenario(Config):
         return section
 
 
-def _derive_holds(data: dict[str, Any]) -> None:
-    """Derive the holds' limits from the regulator and the encoders unless they are set.
+def _derived(data: dict[str, Any]) -> dict[str, Any]:
+    """Return the values that follow from others unless they are set, as a part of a scenario.
 
-    `data` is a scenario before validation; invalid sections stay unchanged.
+    `data` is a scenario before validation, which reports invalid sections.
     """
-    plant, controller, regulator = (
-        data[name] for name in ("plant", "manipulation_controller", "slip_regulator")
-    )
-    if not all(isinstance(section, dict) for section in (plant, controller, regulator)):
-        return
-    guard, posture = plant.get("guard", {}), controller.get("hold", {})
-    hold = guard.get("hold", {}) if isinstance(guard, dict) else None
-    if not isinstance(hold, dict) or not isinstance(posture, dict):
-        return
+    plant, regulator = data["plant"], data["slip_regulator"]
+    if not isinstance(plant, dict) or not isinstance(regulator, dict):
+        return {}
     limit = regulator.get("maximum", SlipRegulatorConfig.model_fields["maximum"].default)
-    derived = {"internal_force_limit": limit}
-    try:
-        encoder = EncoderConfig.model_validate(plant.get("encoder", {}))
-    except ValidationError:
-        pass  # validation of the scenario reports the error
-    else:
-        seen = {"resolution": encoder.resolution}
-        derived, posture = {**derived, **seen}, {**seen, **posture}
-    data["plant"] = {**plant, "guard": {**guard, "hold": {**derived, **hold}}}
-    follows = {"grasp_force_limit": limit, "touch_latency": _touch_latency(data)}
-    follows["imu"] = bool(plant.get("palm_motion"))
-    data["manipulation_controller"] = {**follows, **controller, "hold": posture}
+    seen = {}
+    with suppress(ValidationError):
+        seen["resolution"] = EncoderConfig.model_validate(plant.get("encoder", {})).resolution
+    return {
+        "plant": {"guard": {"hold": {"internal_force_limit": limit, **seen}}},
+        CONTROLLER: {
+            "hold": seen,
+            "grasp_force_limit": limit,
+            "touch_latency": _touch_latency(data),
+            "imu": bool(plant.get("palm_motion")),
+        },
+    }
 
 
 def _touch_latency(data: dict[str, Any]) -> float:
@@ -240,20 +228,17 @@ def plain(scenario: Scenario) -> dict[str, Any]:
     for node in NODES:
         for name in _SHARED:  # set once at the top level
             data[node].pop(name, None)
-    encoder, limit = scenario.plant.encoder, scenario.slip_regulator.maximum
-    controller = data["manipulation_controller"]
-    derived = (
-        (data["plant"]["guard"]["hold"], "internal_force_limit", limit),
-        (data["plant"]["guard"]["hold"], "resolution", encoder.resolution),
-        (controller["hold"], "resolution", encoder.resolution),
-        (controller, "grasp_force_limit", limit),
-        (controller, "touch_latency", _touch_latency(data)),
-        (controller, "imu", bool(scenario.plant.palm_motion)),
-    )
-    for section, name, value in derived:  # derived from other values
-        if section[name] == value:
-            del section[name]
+    _remove(data, _derived(data))
     return data
+
+
+def _remove(data: dict[str, Any], known: Mapping[str, Any]) -> None:
+    """Remove the values from nested data that are known."""
+    for key, value in known.items():
+        if isinstance(value, dict):
+            _remove(data[key], value)
+        elif data[key] == value:
+            del data[key]
 
 
 def resolved(scenario: Scenario) -> str:
@@ -262,9 +247,7 @@ def resolved(scenario: Scenario) -> str:
 
 
 def load_scenario(
-    name: str,
-    changes: Mapping[str, Any] | None = None,
-    options: Mapping[str, str] | None = None,
+    name: str, changes: Mapping[str, Any] | None = None, options: Mapping[str, str] | None = None
 ) -> Scenario:
     """Load a scenario by name or path, and its user law if it names one.
 

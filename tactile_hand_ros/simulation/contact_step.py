@@ -9,15 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_hand_ros.cholesky import factorize, substitute
-from tactile_hand_ros.compiled import compiled
+from tactile_hand_ros.compiled import Array, compiled
 from tactile_hand_ros.control.contact import contact_frame, hand_jacobian
 from tactile_hand_ros.control.grasp import grasp_map
 from tactile_hand_ros.hand.hand import Fingertips, RawDynamics, tip_jacobians
 from tactile_hand_ros.rotations import rodrigues
-from tactile_hand_ros.simulation.coulomb import EXACT, solve_contacts
+from tactile_hand_ros.simulation.coulomb import EXACT, ContactImpulses, solve_contacts
 from tactile_hand_ros.simulation.solid import Shape, closest_point
-
-Array = NDArray[np.float64]
 
 TOUCH = 1e-6  # gap below which a finger counts as touching, m
 NEAR = 2e-3  # gap below which a contact is part of the problem of a step, m
@@ -198,28 +196,14 @@ def step(
     turning, slid = _since(h, now, every)
     near = np.flatnonzero(gaps < NEAR)
     c, d = len(near), every.shape[1]
-    rows, start, closing = every[near].reshape(d * c, m + 6), np.empty((c, d)), np.empty(c)
-    for i in range(c):
-        j = near[i]
-        closing[i] = _closing(gaps[j], h, world.compliance)
-        start[i] = carried(every[j, :, m:], now.rows[j, :, m:], now.impulses[j])
+    rows = every[near].reshape(d * c, m + 6)
     forces = np.concatenate((torque - hand.bias, wrench))
     inverse_times, free = _response(h, now, world, hand.inertia, forces, rotation, rows)
     impulses, sliding, residual, outcome = np.zeros((k, d)), np.zeros((k, 2)), 0.0, EXACT
     settled, struck = np.zeros(k, dtype=np.bool_), False
     if c > 0:
-        delassus, before, mu = rows @ inverse_times, rows @ free, friction[near]
-        turn = turning[near].reshape(d * c)
-        if world.compliance > 0.0:
-            _soften(delassus, before, start, world.compliance / h**2)
-        elif d == 4:
-            for i in range(c):
-                delassus[d * i + 3, d * i + 3] *= 1.0 + _CREEP
-        solved = solve_contacts(delassus, before + turn, closing, mu, start)
-        struck = bool(((solved.impulses[:, 1] > 0.0) & ~now.settled[near]).any())
-        if (struck or solved.outcome != EXACT) and turn.any():
-            # The last turning does not apply to an impact.
-            solved = solve_contacts(delassus, before, closing, mu, start)
+        motion = rows @ inverse_times, rows @ free, turning[near].reshape(d * c)
+        solved, struck = _solved(h, now, world, near, gaps[near], every, motion, friction[near])
         free = free + inverse_times @ solved.impulses.copy().reshape(-1)
         for i in range(c):
             j = near[i]
@@ -238,17 +222,46 @@ def step(
 
 
 @compiled
+def _solved(
+    h: float,
+    now: Motion,
+    world: World,
+    near: NDArray[np.intp],
+    gaps: Array,
+    every: Array,
+    motion: tuple[Array, Array, Array],
+    friction: Array,
+) -> tuple[ContactImpulses, bool]:
+    """Return the impulses of the contacts that are near, and whether one has just struck.
+
+    The motion is W, the velocities without impulses, and their growth by the turning contacts.
+    """
+    (delassus, before, turn), m = motion, len(now.theta)
+    c, d = len(near), every.shape[1]
+    start, closing = np.empty((c, d)), np.empty(c)
+    for i in range(c):
+        j = near[i]
+        closing[i] = _closing(gaps[i], h, world.compliance)
+        start[i] = carried(every[j, :, m:], now.rows[j, :, m:], now.impulses[j])
+    if world.compliance > 0.0:
+        _soften(delassus, before, start, world.compliance / h**2)
+    elif d == 4:
+        for i in range(c):
+            delassus[d * i + 3, d * i + 3] *= 1.0 + _CREEP
+    solved = solve_contacts(delassus, before + turn, closing, friction, start)
+    struck = bool(((solved.impulses[:, 1] > 0.0) & ~now.settled[near]).any())
+    if (struck or solved.outcome != EXACT) and turn.any():
+        # The last turning does not apply to an impact.
+        solved = solve_contacts(delassus, before, closing, friction, start)
+    return solved, struck
+
+
+@compiled
 def _soften(delassus: Array, before: Array, start: Array, softness: float) -> None:
-    """Put implicit springs into the contacts, in place.
+    """Put implicit springs of a compliance / h^2, 1/kg, into W and the velocities, in place.
 
     The gap after the step is -compliance p_n / h. Tangential impulses change by springs from those
-    of the last step, so that the velocities of the solution are those of slip alone.
-
-    Args:
-        delassus: W, shape (dc, dc), 1/kg.
-        before: Velocities without impulses, shape (dc,), m/s.
-        start: Impulses of the last step, shape (c, d), N s.
-        softness: Normal compliance over h^2, 1/kg.
+    of the last step, shape (c, d), so that the velocities of the solution are those of slip alone.
     """
     c, d = start.shape
     for i in range(c):
@@ -318,13 +331,7 @@ def _moved(position: Array, rotation: Array, h: float, v: Array) -> tuple[Array,
 
 @compiled
 def _response(
-    h: float,
-    now: Motion,
-    world: World,
-    inertia: Array,
-    forces: Array,
-    rotation: Array,
-    rows: Array,
+    h: float, now: Motion, world: World, inertia: Array, forces: Array, rotation: Array, rows: Array
 ) -> tuple[Array, Array]:
     """Return M^-1 A^T, shape (m + 6, 3c), and the velocities without contact, (m + 6,)."""
     m, c = len(now.theta), len(rows)

@@ -25,12 +25,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tactile_hand_ros.cholesky import factorize, substitute
-from tactile_hand_ros.compiled import compiled
-
-Array = NDArray[np.float64]
+from tactile_hand_ros.compiled import Array, compiled
 
 EXACT = 0
 """Outcome: both laws hold."""
@@ -201,8 +198,7 @@ def _without_gain(laws: _Laws, p: Array) -> Array:
 def _residual(laws: _Laws, p: Array) -> float:
     """Return the largest violation of the laws, per largest velocity without impulses.
 
-    It measures velocities where contacts stick and impulses where they are open, so that large
-    values of one do not hide the other.
+    Velocities count where contacts stick and impulses where they are open.
     """
     return float(np.abs(_violation(laws, p, 1.0)).max())
 

@@ -7,11 +7,9 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tactile_hand_ros.compiled import Array
 from tactile_hand_ros.config.model import Config, param
-
-Array = NDArray[np.float64]
 
 
 class EncoderConfig(Config):
@@ -60,14 +58,7 @@ class JointSensor:
     """
 
     def __init__(self, encoder: EncoderConfig, effort_noise: float, tick: float, seed: int) -> None:
-        """Build the sensors.
-
-        Args:
-            encoder: Errors of the angles.
-            effort_noise: Standard deviation of a reported torque, N m.
-            tick: Time between two readings, s.
-            seed: Seed of the noise.
-        """
+        """Build the sensors, with the noise of a torque in N m, and s between two readings."""
         self._encoder, self._effort_noise, self._tick = encoder, effort_noise, tick
         self._follow = -math.expm1(-2.0 * math.pi * encoder.rate_cutoff * tick)
         self._seed = seed

@@ -20,8 +20,8 @@ from typing import Any
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
+from tactile_hand_ros.compiled import Array
 from tactile_hand_ros.extras import optional
 from tactile_hand_ros.hand.hand import Hand
 from tactile_hand_ros.rotations import (
@@ -34,8 +34,6 @@ from tactile_hand_ros.simulation.contact_step import TOUCH, Motion, contact_geom
 from tactile_hand_ros.simulation.coulomb import EXACT, UNSOLVED
 from tactile_hand_ros.simulation.plant import Plant
 from tactile_hand_ros.simulation.plant_config import ObjectConfig, PlantConfig
-
-Array = NDArray[np.float64]
 
 _OBJECT = "object of the plant"  # no finger has a name with spaces
 # A contact that slides lifts off and has no force for a step, again and again. Without substeps, a
@@ -255,3 +253,12 @@ def _add_shape(mj: Any, spec: Any, body: Any, config: ObjectConfig) -> None:
 def _quaternion(rotation: Array) -> Array:
     """Return the quaternion of a rotation, shape (3, 3), in the order of MuJoCo: w, x, y, z."""
     return np.roll(quaternion_from_rotation(rotation), 1)
+
+
+def make_plant(config: PlantConfig) -> Plant:
+    """Return a plant with the physics engine of its parameters; see `Plant` for its errors.
+
+    Raises:
+        MissingLibraryError: If that engine is not installed.
+    """
+    return MujocoPlant(config) if config.engine == "mujoco" else Plant(config)

@@ -7,12 +7,10 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tactile_hand_ros.compiled import Array
 from tactile_hand_ros.config.model import Config, param
 from tactile_hand_ros.rotations import Vector, rotation_from_vector, vector_from_rotation
-
-Array = NDArray[np.float64]
 
 
 class PalmTurn(Config):

@@ -13,8 +13,8 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tactile_hand_ros.compiled import Array
 from tactile_hand_ros.control.contact import Contacts
 from tactile_hand_ros.errors import ConfigurationError, DivergedError, ObjectModelError
 from tactile_hand_ros.hand.hand import Hand, RawDynamics, mirrored
@@ -37,8 +37,6 @@ from tactile_hand_ros.simulation.joint_sensor import JointReading, JointSensor
 from tactile_hand_ros.simulation.palm_motion import Turning, apparent_wrench, palm_turning
 from tactile_hand_ros.simulation.plant_config import PlantConfig, external_wrench
 from tactile_hand_ros.simulation.skin import TactileReading
-
-Array = NDArray[np.float64]
 
 _FASTEST = 1e4  # rad/s and m/s
 _ENDLESS = 1e9  # times the largest inertia: that of a joint at its stop
@@ -63,6 +61,8 @@ class PlantState(NamedTuple):
         sliding: Tangential velocities of the object against the tips (x, z), shape (k, 2), m/s.
         slid: Distance that each contact has slid since the start, shape (k,), m.
         gaps: Distances of the fingertips from the object, shape (k,), m.
+        touch: Contacts and forces in the form of topics.
+        speeds: Sliding speed of each contact, shape (k,), m/s.
         palm: Quaternion (x, y, z, w) of the palm in the world, shape (4,); None if it never turns.
     """
 
@@ -79,6 +79,8 @@ class PlantState(NamedTuple):
     sliding: Array
     slid: Array
     gaps: Array
+    touch: TactileReading
+    speeds: Array
     palm: Array | None = None
 
 
@@ -322,6 +324,7 @@ class Plant:
         now, m = self._now, self.hand.joints
         tips = self.hand.tip_positions(now.theta)
         points, frames, gaps, impulses = observed(self._world, now, tips)
+        forces = impulses[:, :3] / self.config.time_step
         return PlantState(
             now.theta,
             now.velocities[:m],
@@ -332,10 +335,12 @@ class Plant:
             now.velocities[m : m + 3],
             now.velocities[m + 3 :],
             Contacts(points, frames),
-            impulses[:, :3] / self.config.time_step,
+            forces,
             now.sliding,
             now.slid,
             gaps,
+            TactileReading(points, quaternions_of_rows(frames.reshape(-1, 9)), forces),
+            np.hypot(now.sliding[:, 0], now.sliding[:, 1]),
             self._palm,
         )
 
@@ -350,14 +355,3 @@ class Plant:
         out = self._world.mass * np.eye(6)
         out[3:, 3:] = self._now.rotation @ self._world.inertia @ self._now.rotation.T
         return out
-
-
-def sliding_speeds(state: PlantState) -> Array:
-    """Return the sliding speed of each contact, shape (k,), m/s."""
-    return np.asarray(np.hypot(state.sliding[:, 0], state.sliding[:, 1]))
-
-
-def true_reading(state: PlantState) -> TactileReading:
-    """Return the true contacts of a state in the form of topics."""
-    positions, rotations = state.contacts.positions, state.contacts.rotations
-    return TactileReading(positions, quaternions_of_rows(rotations.reshape(-1, 9)), state.forces)

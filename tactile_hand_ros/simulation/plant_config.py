@@ -7,9 +7,9 @@ from collections.abc import Sequence
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import model_validator
 
+from tactile_hand_ros.compiled import Array
 from tactile_hand_ros.config.model import Config, param
 from tactile_hand_ros.control.command_guard import GuardConfig
 from tactile_hand_ros.rotations import Vector
@@ -111,7 +111,7 @@ class ObjectConfig(Config):
             return Solid.revolved(self.shape, self.size[0], self.size[2])
         return Solid.box(np.array(self.size))
 
-    def inertia_about(self, solid: Solid) -> NDArray[np.float64]:
+    def inertia_about(self, solid: Solid) -> Array:
         """Return the inertia of a shape about the object's axes, shape (3, 3), kg m^2.
 
         Raises:
@@ -160,7 +160,7 @@ class Disturbance(Config):
         return float(np.sin(2.0 * np.pi * self.frequency * since)) if self.kind == "sine" else 1.0
 
 
-def external_wrench(disturbances: Sequence[Disturbance], time: float) -> NDArray[np.float64]:
+def external_wrench(disturbances: Sequence[Disturbance], time: float) -> Array:
     """Return w_e, force and torque about the object's center of mass, shape (6,), N and N m."""
     wrench = np.zeros(6)
     for push in disturbances:
@@ -227,7 +227,7 @@ class PlantConfig(Config):
     @property
     def steps_per_tick(self) -> int:
         """Number of integration steps in one tick."""
-        return max(1, round(1.0 / (self.rate * self.time_step)))
+        return round(1.0 / (self.rate * self.time_step))
 
     @property
     def step(self) -> int:

@@ -3,14 +3,10 @@
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
-
+from tactile_hand_ros.compiled import Array
 from tactile_hand_ros.control.command_guard import CommandGuard, TorqueCommand
-from tactile_hand_ros.simulation.engines import make_plant
+from tactile_hand_ros.simulation.mujoco_plant import make_plant
 from tactile_hand_ros.simulation.plant_config import PlantConfig
-
-Array = NDArray[np.float64]
 
 PUSH_LASTS = 200_000_000
 """Time after which a push ends that is not renewed, so that no dead user pulls on, ns."""
@@ -36,12 +32,9 @@ class PlantRun:
         self.guard = CommandGuard(config.guard, self.plant.model, config.tick, config.step)
         self._tick = config.tick
         self._end = round(config.duration * config.rate) * config.tick
-        self._load_compiled_code()
-        self.reset()
-
-    def _load_compiled_code(self) -> None:
-        """Step once, so that the first ticks are not late."""
+        # One step loads the compiled code, so that the first ticks are not late.
         self.plant.drive(lambda since, theta, rates: self.guard.step(since, theta, rates, None))
+        self.reset()
 
     def reset(self) -> None:
         """Go back to the start, at stamp 0 and without torque."""
@@ -50,10 +43,6 @@ class PlantRun:
         self.stamp = 0
         self._command: TorqueCommand | None = None
         self._refused = ""
-
-    def configure(self, config: PlantConfig) -> None:
-        """Change friction and mass of the object, also for the time after a reset."""
-        self.plant.configure(config)
 
     @property
     def is_last(self) -> bool:

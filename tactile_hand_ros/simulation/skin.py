@@ -5,13 +5,11 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from tactile_hand_ros.compiled import Row, Rows, compiled, row_of
+from tactile_hand_ros.compiled import Array, Row, Rows, compiled, row_of
 from tactile_hand_ros.config.model import Config, param
 from tactile_hand_ros.control.contact import Contacts, contact_frame, in_palm
 from tactile_hand_ros.rotations import (
@@ -25,8 +23,6 @@ from tactile_hand_ros.rotations import (
 
 if TYPE_CHECKING:  # only a wrong calibration needs the model
     from tactile_hand_ros.hand.hand import Hand
-
-Array = NDArray[np.float64]
 
 
 class VibrationConfig(Config):
@@ -105,8 +101,7 @@ class TactileSensorConfig(Config):
     seed: int = param(1, "seed of everything random", ge=0)
 
 
-@dataclass(frozen=True)
-class TactileReading:
+class TactileReading(NamedTuple):
     """A report of the skin, in the form of topics.
 
     Attributes:
@@ -168,17 +163,11 @@ class TactileSensor:
     """
 
     def __init__(
-        self,
-        config: TactileSensorConfig,
-        radii: Array,
-        model: Hand | None = None,
+        self, config: TactileSensorConfig, radii: Array, model: Hand | None = None
     ) -> None:
-        """Build the skin of fingertips.
+        """Build the skin of fingertips with radii, shape (k,), m.
 
-        Args:
-            config: Its parameters.
-            radii: Radii of the fingertips, shape (k,), m.
-            model: The hand of the controllers; only needed with a wrong calibration.
+        The model of the controllers is only needed with a wrong calibration.
         """
         self._radii = np.asarray(radii, dtype=float)
         self._model = None if config.calibration.is_right else model
@@ -248,16 +237,14 @@ class TactileSensor:
                 earlier = self._unread.standard_normal((unread, k, 3))
                 samples = np.concatenate((earlier, samples))
             white[1] = self._rumble.step(samples)
-        touch = true.positions, true.quaternions, true.forces
         speeds = self._at_rest if sliding is None else sliding
-        numbers, radii = self._numbers, self._radii
-        measured = _measured(self._memory, numbers, radii, *touch, speeds, white, elapsed)
+        skin = self._memory, self._numbers, self._radii
+        measured = _measured(*skin, *true, speeds, white, elapsed)
         last = self._waiting[-1][1] if self._waiting else self._held
         if last is not None and self.config.dropout > 0.0:
             lost = (draws < self.config.dropout)[:, None]
-            before = last.positions, last.quaternions, last.forces
-            merged = (np.where(lost, *pair) for pair in zip(before, measured, strict=True))
-            return TactileReading(*merged)
+            pairs = zip(last, measured, strict=True)
+            return TactileReading(*(np.where(lost, *pair) for pair in pairs))
         return TactileReading(*measured)
 
 
@@ -334,30 +321,23 @@ def _displace(
     elapsed: float,
 ) -> None:
     """Move each contact over its fingertip; point and normal stay those of the sphere (A2)."""
-    frames = rows_of_quaternions(quaternions)
+    frames, follow = rows_of_quaternions(quaternions), c["location_bandwidth"] > 0.0
+    fraction = 1.0 - math.exp(-2.0 * math.pi * c["location_bandwidth"] * elapsed)
     for i in range(len(radii)):
         normal, arm = frames[i, 1::3], np.empty(3)
         for axis in range(3):
             shifted = radii[i] * normal[axis] + c["location_noise"] * white[i, axis]
-            shifted = _rounded(shifted, c["location_resolution"])
-            arm[axis] = _settled(memory[i], c, axis, shifted, elapsed)
+            arm[axis] = _rounded(shifted, c["location_resolution"])
+            before = memory[i]["arm"][axis]
+            if follow and math.isfinite(before):  # a new contact appears immediately
+                arm[axis] = before + fraction * (arm[axis] - before)
+            if follow:
+                memory[i]["arm"][axis] = arm[axis]
         center = positions[i] - radii[i] * normal
         seen = arm / math.sqrt(arm[0] * arm[0] + arm[1] * arm[1] + arm[2] * arm[2])
         positions[i] = center + radii[i] * seen
         frames[i] = contact_frame(seen).reshape(9)
     quaternions[:] = quaternions_of_rows(frames)
-
-
-@compiled
-def _settled(m: Row, c: Row, axis: int, arm: float, elapsed: float) -> float:
-    """Low-pass the place of a contact on its fingertip; a new contact appears immediately."""
-    if c["location_bandwidth"] > 0.0:
-        fraction = 1.0 - math.exp(-2.0 * math.pi * c["location_bandwidth"] * elapsed)
-        before = m["arm"][axis]
-        if math.isfinite(before):
-            arm = before + fraction * (arm - before)
-        m["arm"][axis] = arm
-    return arm
 
 
 @compiled
@@ -375,14 +355,9 @@ class BandNoise:
     def __init__(
         self, shape: tuple[int, int], low: float, high: float, rate: float, bandwidth: float
     ) -> None:
-        """Start at rest; frequencies are limited to half the rate.
+        """Start silently, for noise of a shape (n, m) from `low` to `high`, Hz, at a rate in Hz.
 
-        Args:
-            shape: Shape of a sample.
-            low: Lower edge of the band, Hz.
-            high: Upper edge of the band, Hz.
-            rate: Samples per second, Hz.
-            bandwidth: Corner frequency of the next low-pass, 0 for none, Hz.
+        The bandwidth is the corner frequency of the next low-pass, 0 for none, Hz.
         """
         nyquist = 0.5 * rate
         self._pass = 1.0 - math.exp(-2.0 * math.pi * min(high, nyquist) / rate)

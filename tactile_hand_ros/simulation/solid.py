@@ -8,11 +8,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_hand_ros.compiled import compiled
+from tactile_hand_ros.compiled import Array, compiled
 from tactile_hand_ros.errors import ObjectModelError
 from tactile_hand_ros.extras import optional
-
-Array = NDArray[np.float64]
 
 MAX_VERTICES = 500
 """Each step searches all faces for each contact."""

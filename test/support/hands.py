@@ -21,6 +21,19 @@ _BENT = (1.0, 0.0, 1.2, 0.6, 0.1, 0.1)  # angles of a finger's joints that bend 
 LINK = 0.3  # half the total length of a finger's links, m
 
 
+def kinetic_energy(hand: Hand, theta: Array, rates: Array) -> float:
+    """Return the kinetic energy of the links, J."""
+    moved = hand.all_angles(rates) - hand.all_angles(0.0 * rates)
+    data = hand.model.createData()
+    return float(pin.computeKineticEnergy(hand.model, data, hand.all_angles(theta), moved))
+
+
+def potential_energy(hand: Hand, theta: Array) -> float:
+    """Return the potential energy of the links, J."""
+    data = hand.model.createData()
+    return float(pin.computePotentialEnergy(hand.model, data, hand.all_angles(theta)))
+
+
 def _link(name: str, length: float) -> str:
     return (
         f'<link name="{name}"><inertial><origin xyz="{length / 2} 0 0"/><mass value="0.2"/>'

@@ -7,7 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from support.equations import hand_jacobian
-from tactile_hand_ros.simulation.engines import make_plant
+from support.hands import kinetic_energy, potential_energy
+from tactile_hand_ros.simulation.mujoco_plant import make_plant
 from tactile_hand_ros.simulation.plant import Plant, PlantState
 from tactile_hand_ros.simulation.plant_config import PlantConfig
 
@@ -59,6 +60,6 @@ def energy_of(plant: Plant) -> float:
     state, c = plant.state, plant.config.object
     linear, angular = momentum(plant, state)
     body = 0.5 * (linear @ state.velocity + angular @ state.spin)
-    links = plant.hand.kinetic_energy(state.theta, state.rates)
+    links = kinetic_energy(plant.hand, state.theta, state.rates)
     height = -c.mass * (np.array(plant.config.gravity) @ state.position)
-    return float(body + links + plant.hand.potential_energy(state.theta) + height)
+    return float(body + links + potential_energy(plant.hand, state.theta) + height)

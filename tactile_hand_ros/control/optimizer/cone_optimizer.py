@@ -50,20 +50,10 @@ class ConeOptimizer:
         self._program = QuadraticProgram(example, exact)
 
     def solve(self, balance: Array, cones: Cones) -> tuple[Array, float]:
-        """Return f*, shape (k, 3), and the residual of the optimality conditions.
-
-        Args:
-            balance: G~^T for forces in contact frames, shape (3k, 6).
-            cones: Usable friction and load of the contacts.
-        """
+        """Return f*, shape (k, 3), for G~^T, shape (3k, 6), and the residual of its optimality."""
         problem = _with_numbers(self._fixed, balance, cones.usable_friction, cones.goal)
         found = self._program.solve(problem)
         return found.x[:-1].reshape(-1, 3).copy(), found.residual
-
-
-def _cone_rows(contact: int, contacts: int) -> slice:
-    first = contacts + 1 + SIDES * contact
-    return slice(first, first + SIDES)
 
 
 def _fixed_rows(k: int) -> Array:
@@ -73,7 +63,7 @@ def _fixed_rows(k: int) -> Array:
     rows[np.arange(k), 1 + 3 * np.arange(k)] = -1.0
     rows[k, n] = -1.0
     for i in range(k):
-        cone = _cone_rows(i, k)
+        cone = slice(k + 1 + SIDES * i, k + 1 + SIDES * (i + 1))
         rows[cone, 3 * i : 3 * i + 3 : 2] = DIRECTIONS
         rows[cone, n] = -1.0
     return rows

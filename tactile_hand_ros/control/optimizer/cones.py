@@ -52,33 +52,20 @@ class Cones:
         return reaches(self.load, self.usable_friction) if self.wanted is None else self.wanted
 
     def holds(self, forces: Array) -> bool:
-        """Return whether f* under the loads of `goal` lies in the pyramids.
+        """Return whether f*, shape (k, 3), under the loads of `goal` lies in the pyramids.
 
         Pyramids instead of cones avoid a jump of f* at the start of the optimization.
-
-        Args:
-            forces: f* in contact frames, shape (k, 3).
         """
         return bool((reaches(forces, self.usable_friction) + self.goal <= 0.0).all())
 
     def margin(self, forces: Array) -> float:
-        """Return the minimum mu f_n - |f_t| of f* under the load, per unit of internal force.
-
-        Args:
-            forces: f* in contact frames, shape (k, 3).
-        """
+        """Return the minimum mu f_n - |f_t| of f*, shape (k, 3), under the load."""
         return cone_margin(forces, self.load, self.usable_friction)
 
 
 @compiled
 def cone_margin(forces: Array, load: Array, usable_friction: Array) -> float:
-    """Return the minimum mu f_n - |f_t| of forces and load, in their unit.
-
-    Args:
-        forces: In contact frames, shape (k, 3).
-        load: In contact frames, shape (k, 3).
-        usable_friction: mu, shape (k,).
-    """
+    """Return the minimum mu f_n - |f_t| of forces and load in contact frames, in their unit."""
     minimum = np.inf
     for i in range(len(forces)):
         x, n, z = forces[i] + load[i]

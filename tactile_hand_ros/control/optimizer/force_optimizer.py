@@ -20,18 +20,8 @@ from tactile_hand_ros.control.grasp import (
 )
 from tactile_hand_ros.control.loads import CarriedLoad
 from tactile_hand_ros.control.optimizer.cone_optimizer import ConeOptimizer
-from tactile_hand_ros.control.optimizer.cones import (
-    INSIDE,
-    Cones,
-    followed,
-    grasp_frames,
-    reaches,
-)
-from tactile_hand_ros.control.optimizer.quadratic_program import (
-    Problem,
-    QuadraticProgram,
-    Solution,
-)
+from tactile_hand_ros.control.optimizer.cones import INSIDE, Cones, followed, grasp_frames, reaches
+from tactile_hand_ros.control.optimizer.quadratic_program import Problem, QuadraticProgram, Solution
 from tactile_hand_ros.errors import ConfigurationError
 
 _RELAXED = 0.75  # fraction of the grasp force at which f* must hold, so that k_f can fall
@@ -70,10 +60,7 @@ class ForceOptimizerConfig(Config):
     )
 
     def weight_vector(self, fingers: int) -> Array:
-        """Return the diagonal of W, shape (3 k,).
-
-        Args:
-            fingers: Number of contacts k.
+        """Return the diagonal of W of k contacts, shape (3 k,).
 
         Raises:
             ConfigurationError: If the number of weights does not fit or one is not positive.
@@ -88,10 +75,7 @@ class ForceOptimizerConfig(Config):
         return np.tile(given, fingers) if len(given) == 3 else given
 
     def check_minimum(self, fingers: int) -> None:
-        """Check that the minimum normal forces leave a force to distribute.
-
-        Args:
-            fingers: Number of contacts k.
+        """Check that the minimum normal forces of k contacts leave a force to distribute.
 
         Raises:
             ConfigurationError: If they add up to the grasp force or more.
@@ -154,11 +138,7 @@ class ForceOptimizer:
     """
 
     def __init__(self, config: ForceOptimizerConfig, fingers: int) -> None:
-        """Set up the problem.
-
-        Args:
-            config: Weights, limits and solver.
-            fingers: Number of contacts k.
+        """Set up the problem of k contacts.
 
         Raises:
             ConfigurationError: If the weights do not fit.
@@ -171,9 +151,6 @@ class ForceOptimizer:
 
     def configure(self, config: ForceOptimizerConfig) -> None:
         """Change the weights or limits, and set up the problem again.
-
-        Args:
-            config: The new values.
 
         Raises:
             ConfigurationError: If they do not fit; then the old ones stay.
@@ -278,13 +255,15 @@ class ForceOptimizer:
         points, rotations = contacts.positions, contacts.rotations
         if self._k == 2:
             return self._opposed(points, rotations)
-        problem, balance, margin = _balance_problem(self._fixed, points, rotations)
-        if margin < MIN_COLLINEARITY_MARGIN:
+        if collinearity_margin(points) < MIN_COLLINEARITY_MARGIN:
             return self._without_answer(
                 Status.COLLINEAR,
                 "the contacts lie on one line, no moment about it can balance (A7)",
             )
-        found = self._program.solve(problem)
+        balance = scaled_balance(points, rotations)
+        equal = self._fixed.equal.copy()
+        equal[:6] = balance.T
+        found = self._program.solve(self._fixed._replace(equal=equal))
         if not found.residual < _MAX_RESIDUAL:
             self._shape = None
             return self._unsolved(found)
@@ -368,22 +347,7 @@ def scaled_balance(points: Array, rotations: Array) -> Array:
 
     Its torques are divided by the size of the grasp, so that all rows have one magnitude. This does
     not change G~ f = 0.
-
-    Args:
-        points: Contact points in the palm frame, shape (k, 3), m.
-        rotations: Contact frames, shape (k, 3, 3).
     """
     arms = centered(points)
     arms /= math.sqrt((arms * arms).sum() / len(points))
     return grasp_map(arms, rotations).T
-
-
-@compiled
-def _balance_problem(
-    fixed: Problem, points: Array, rotations: Array
-) -> tuple[Problem, Array, float]:
-    """Return (13) with the balance of these contacts, G~^T and the collinearity margin."""
-    balance, equal = scaled_balance(points, rotations), fixed.equal.copy()
-    equal[:6] = balance.T
-    problem = Problem(fixed.weights, fixed.price, equal, fixed.right, fixed.rows, fixed.bounds)
-    return problem, balance, collinearity_margin(points)

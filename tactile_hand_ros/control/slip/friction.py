@@ -77,12 +77,7 @@ class FrictionEstimator:
     """
 
     def __init__(self, config: FrictionConfig, contacts: int) -> None:
-        """Start from the prior.
-
-        Args:
-            config: Its parameters.
-            contacts: Number of contacts k.
-        """
+        """Start k contacts from the prior."""
         self._memory: Rows = np.zeros(contacts, _MEMORY)
         self.configure(config)
         self.reset()
@@ -127,22 +122,15 @@ class FrictionEstimator:
         agrees: NDArray[np.bool_],
         fresh: NDArray[np.bool_],
         dt: float,
-    ) -> Array:
-        """Return the estimates after a tick, shape (k,).
+    ) -> None:
+        """Learn from a tick.
 
-        Args:
-            forces: Measured forces on the object, palm axes, shape (k, 3), N; NaN: none.
-            normals: Contact normals into the object, palm axes, shape (k, 3).
-            state: `ContactState` from the detector, shape (k,).
-            suspected: Whether it has evidence for slip, shape (k,).
-            agrees: Whether the newest samples show slip, shape (k,); other samples do not measure
-                friction.
-            fresh: Whether the forces are new samples, shape (k,).
-            dt: Time since the last tick, s.
+        `state`, `suspected` and `agrees`, each of shape (k,), are the detector's `ContactState`,
+        whether it has evidence for slip, and whether the newest samples show slip; others do not
+        measure friction. For the rest see `SlipDetector.step`.
         """
         detected = state, suspected, agrees, fresh
         _learn(self._memory, self._row, forces, normals, *detected, dt)
-        return self.estimate
 
 
 @compiled

@@ -43,13 +43,7 @@ class RequiredGraspForce:
     """
 
     def __init__(self, config: ReserveConfig, contacts: int, finger_weight: float) -> None:
-        """Start without a grasp.
-
-        Args:
-            config: The reserve.
-            contacts: Number of contacts k.
-            finger_weight: Weight of a finger, N.
-        """
+        """Start without a grasp of k contacts; the weight of a finger is in N."""
         self._memory: Rows = np.zeros(contacts, _MEMORY)
         self._weight = finger_weight
         self.configure(config)
@@ -200,21 +194,12 @@ class SlipResponse:
     """
 
     def __init__(self, config: SlipResponseConfig, grasp_force: float) -> None:
-        """Start at a grasp force.
-
-        Args:
-            config: Its parameters.
-            grasp_force: k_f, N.
-        """
+        """Start at a k_f in N."""
         self.config = config
         self.start(grasp_force)
 
     def start(self, grasp_force: float) -> None:
-        """Continue without a grasp.
-
-        Args:
-            grasp_force: k_f to continue from, N.
-        """
+        """Continue from a k_f in N without a grasp."""
         self.grasp_force = self._settled = grasp_force
         self._calm_for = self._grown = 0.0
         self._whole = False

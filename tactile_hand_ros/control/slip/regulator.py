@@ -82,12 +82,7 @@ class SlipRegulator:
     """
 
     def __init__(self, config: SlipRegulatorConfig, fingers: int) -> None:
-        """Start at the configured grasp force.
-
-        Args:
-            config: Its parameters.
-            fingers: Number of fingers k.
-        """
+        """Start at the configured grasp force of a hand with k fingers."""
         self.config, self._fingers = config, fingers
         self._detector = SlipDetector(config.detector, fingers)
         self._estimator = FrictionEstimator(config.friction, fingers)
@@ -125,14 +120,12 @@ class SlipRegulator:
         self._kept: list[tuple[int, Rows]] = []
         self._detector.reset()
         self._estimator.reset()
-        self.carried = self._carried(np.full((self._fingers, 3, 3), np.nan))
+        usable = self.learned_friction / (1.0 + self.config.reflex.margin)
+        unknown = np.full((self._fingers, 3), np.nan)
+        self.carried = CarriedLoad(unknown, usable, self._required.reserve)
 
     def reject_touch(self, rejected: bool) -> None:
-        """Ignore touch from the next tick on, or use it again; see `Controller.touch_rejected`.
-
-        Args:
-            rejected: Whether to ignore it.
-        """
+        """Ignore touch from the next tick on, or use it again; see `Controller.touch_rejected`."""
         if rejected and not self._rejected:
             self._forget_slips()
             self._required.reset()
@@ -170,10 +163,7 @@ class SlipRegulator:
         return self._estimator.estimate
 
     def request(self, grasp_force: float) -> None:
-        """Request a grasp force for the user.
-
-        Args:
-            grasp_force: k_f, N.
+        """Request a k_f in N for the user.
 
         Raises:
             MessageError: If it is outside the limits or not a number.
@@ -228,25 +218,31 @@ class SlipRegulator:
         forces = in_palm(contacts.rotations, measured, 1.0)
         forces[~touching | self._rejected] = np.nan
         learns = not (self._rejected or self._held)
-        if learns:
-            self._keep(stamp)
+        if learns and (not self._kept or stamp - self._kept[-1][0] >= _AGE):
+            # To restore it when touch is rejected.
+            self._kept = [*self._kept[-1:], (stamp, self._estimator.memory)]
         parts, at = self._split(contacts, forces)
         grasped = contacts.enough_touching
         axes = parts.internal if parts is not None and grasped else normals
         seen = forces if learns else np.full_like(forces, np.nan)
         slips, slides = self._watch(seen, normals, axes, fresh, dt)
+        friction = self.learned_friction
+        usable = friction / (1.0 + self.config.reflex.margin)
         self.needed = self.ready = math.nan
         if parts is None:
             self._required.lose()
         else:
-            friction, usable = self.learned_friction, self._usable
             needs = self._required.step(parts, at, friction, usable, dt, grasped=grasped)
             self.needed, self.ready = needs
-        self.carried = self._carried(contacts.rotations)
+        load = np.einsum("kji,kj->ki", contacts.rotations, self._required.load)
+        self.carried = CarriedLoad(load, usable, self._required.reserve)
         if self.config.mode == "user":
             return
-        if parts is not None:
-            self._take_over(parts.grasp_force)
+        if parts is not None and not self._has_grasped:
+            # Another regulator may have crashed with the object in the hand.
+            if parts.grasp_force > self._response.grasp_force:
+                self._response.start(min(parts.grasp_force, self.config.maximum))
+            self._has_grasped = True
         limit = self.config.maximum
         goal = max(self.needed, min(self.ready, _RESERVED * limit))
         known = touching | (grasped and parts is not None)  # the others hold without it
@@ -279,29 +275,6 @@ class SlipRegulator:
         if parts.margin < _CLEAR_MARGIN or (grasped and parts.grasp_force <= 0.0):
             self._grasp = None
         return (None if self._grasp is None else parts), normals
-
-    @property
-    def _usable(self) -> Array:
-        """Usable friction: the learned mu less the margin, shape (k,)."""
-        return self.learned_friction / (1.0 + self.config.reflex.margin)
-
-    def _carried(self, rotations: Array) -> CarriedLoad:
-        load = np.einsum("kji,kj->ki", rotations, self._required.load)
-        return CarriedLoad(load, self._usable, self._required.reserve)
-
-    def _take_over(self, measured: float) -> None:
-        """Start at the measured grasp force, N, if it exceeds the configured one.
-
-        Another regulator may have crashed with the object in the hand.
-        """
-        if not self._has_grasped and measured > self._response.grasp_force:
-            self._response.start(min(measured, self.config.maximum))
-        self._has_grasped = True
-
-    def _keep(self, stamp: int) -> None:
-        """Keep the friction estimate, to restore it when touch is rejected."""
-        if not self._kept or stamp - self._kept[-1][0] >= _AGE:
-            self._kept = [*self._kept[-1:], (stamp, self._estimator.memory)]
 
     def _watch(
         self, forces: Array, normals: Array, axes: Array, fresh: NDArray[np.bool_], dt: float

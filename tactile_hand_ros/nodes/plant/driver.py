@@ -8,45 +8,38 @@ from collections.abc import Callable, Mapping
 from types import MappingProxyType
 from typing import Any, Protocol
 
-import numpy as np
 from geometry_msgs.msg import PoseStamped
-from numpy.typing import NDArray
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import Imu, JointState
 from std_msgs.msg import Bool, String
 
 from tactile_hand_ros import names
 from tactile_hand_ros.cdr import clock_bytes
+from tactile_hand_ros.compiled import Array
 from tactile_hand_ros.errors import DivergedError
 from tactile_hand_ros.hand.hand import Hand
-from tactile_hand_ros.nodes.common import ModeLog, ReadingPublisher
+from tactile_hand_ros.nodes.common import ModeLog, ReadingPublisher, rotated_pose_encoder
 from tactile_hand_ros.nodes.plant.real_time import Brake, Pace
 from tactile_hand_ros.ros import qos
 from tactile_hand_ros.ros.diagnostics import ERROR, OK, WARN
-from tactile_hand_ros.ros.messages import ImuCodec, JointCodec, PoseCodec
+from tactile_hand_ros.ros.messages import ImuCodec, JointCodec
 from tactile_hand_ros.ros.node import TactileNode
 from tactile_hand_ros.ros.ticks import SenderCheck, two_senders
-from tactile_hand_ros.rotations import quaternion_from_rotation
-from tactile_hand_ros.simulation.plant import PlantState, sliding_speeds, true_reading
+from tactile_hand_ros.simulation.plant import PlantState
 from tactile_hand_ros.simulation.plant_config import PlantConfig
 from tactile_hand_ros.simulation.plant_run import PlantRun
-from tactile_hand_ros.simulation.skin import TactileReading
-
-Array = NDArray[np.float64]
 
 
 class InProcessHand(Protocol):
     """The blocks that answer the plant's ticks in its process."""
 
-    def answer(
-        self, stamp: int, state: PlantState, true: TactileReading, sliding: Array
-    ) -> Array | None:
+    def answer(self, stamp: int, state: PlantState) -> Array | None:
         """Return the torque for a tick, shape (m,), N m, or None if there is none."""
 
     def hold(self, held: bool) -> None:
         """Set whether the guard holds the joints."""
 
-    def restart(self) -> None:
+    def on_restart(self) -> None:
         """Start over after time was set back."""
 
 
@@ -74,10 +67,8 @@ class PlantTopics:
         imu = ImuCodec().encode
         self._imu_publisher = node.tick_publisher(Imu, names.IMU, imu) if turns else None
         self._awaited = tuple(node.tick_publishers)
-        self._encode_pose = PoseCodec().encode
-        self._pose_publisher = node.tick_publisher(
-            PoseStamped, names.OBJECT_POSE, self._encoded_pose
-        )
+        pose = rotated_pose_encoder()
+        self._pose_publisher = node.tick_publisher(PoseStamped, names.OBJECT_POSE, pose)
         self._clock_publisher = node.tick_publisher(Clock, names.CLOCK, clock_bytes)
         latched = qos.latched_qos()
         self._description = node.create_publisher(String, names.ROBOT_DESCRIPTION, latched)
@@ -85,20 +76,15 @@ class PlantTopics:
         self._hold = node.create_publisher(Bool, names.JOINT_HOLD, latched)
         self._is_held: bool | None = None
 
-    def publish(
-        self, stamp_ns: int, state: PlantState, true: TactileReading, sliding: Array
-    ) -> None:
-        """Publish a tick, with sliding speeds in m/s; start with the topics that nodes wait for."""
-        self._slip_publisher.publish(stamp_ns, state.slid, sliding)
-        self._truth.publish(stamp_ns, true.positions, true.quaternions, true.forces)
+    def publish(self, stamp_ns: int, state: PlantState) -> None:
+        """Publish a tick [ns]; start with the topics that nodes wait for."""
+        self._slip_publisher.publish(stamp_ns, state.slid, state.speeds)
+        self._truth.publish(stamp_ns, *state.touch)
         if self._imu_publisher is not None:
             self._imu_publisher.publish(state.palm, stamp_ns)
         self._joints_publisher.publish(stamp_ns, *state.joints)
         self._pose_publisher.publish(state.position, state.rotation, stamp_ns)
         self._clock_publisher.publish(stamp_ns)
-
-    def _encoded_pose(self, position: Array, rotation: Array, stamp_ns: int) -> bytes:
-        return self._encode_pose(position, quaternion_from_rotation(rotation), stamp_ns)
 
     def publish_hold(self, is_held: bool) -> None:
         """Publish whether the joints are held, if that has changed."""
@@ -123,11 +109,14 @@ class PlantDriver:
 
     With a hand in the same process, its answer is the command of the tick. A missing answer counts
     as silence of the controller.
+
+    Attributes:
+        hand: A hand in this process that answers the ticks; None if commands are received.
     """
 
     def __init__(self, node: TactileNode[PlantConfig], run: PlantRun) -> None:
         """Create publishers and timers; `begin` starts the run."""
-        self._hand: InProcessHand | None = None
+        self.hand: InProcessHand | None = None
         self._torque: Array | None = None  # the hand's answer to the current tick
         self._node = node
         self._diagnostics = node.diagnostics
@@ -149,10 +138,6 @@ class PlantDriver:
         self._braker.cancel()
         watch = 0.25 * min(c.resend_after, c.command_timeout)
         self._watcher = node.create_timer(watch, self._on_watch)
-
-    def connect(self, hand: InProcessHand) -> None:
-        """Connect a hand in this process that answers the ticks."""
-        self._hand = hand
 
     @property
     def mode(self) -> str:
@@ -217,8 +202,8 @@ class PlantDriver:
         self._run.reset()
         self._is_finished = False
         self._newest_answer = -1
-        if self._hand is not None:
-            self._hand.restart()
+        if self.hand is not None:
+            self.hand.on_restart()
         self.begin()
 
     def command(self, stamp: int, torque: Array, info: Mapping[str, Any] = NO_INFO) -> None:
@@ -234,12 +219,15 @@ class PlantDriver:
         if stamp <= self._answered:
             return
         self._answered = stamp
-        if self._is_too_old(stamp):
-            self._too_old += 1
+        c = self._config
+        if not self._is_lockstep and run.stamp - stamp > c.guard.age_limit * c.tick:
+            self._too_old += 1  # the guard would reject it
             return
         self._answered_at = time.monotonic()
         if run.refusing:
-            self._resume()
+            run.release()
+            if self._is_lockstep:
+                self._let_time_pass(False)
         self._diagnostics.clear("state")
         if self._is_lockstep and stamp < run.stamp:
             return  # the controller is back; its answer to the current tick follows
@@ -274,11 +262,6 @@ class PlantDriver:
             if before < 0 or (stands and stamp == now):
                 self._node.publish_diagnostics()
 
-    def _is_too_old(self, stamp: int) -> bool:
-        """Return whether the guard would reject a command by its age; never in lockstep."""
-        c = self._config
-        return not self._is_lockstep and self._run.stamp - stamp > c.guard.age_limit * c.tick
-
     def _hold(self, reason: str) -> None:
         """Hold the joints regardless of commands, while time follows the wall clock."""
         if not self._run.refusing:
@@ -286,12 +269,6 @@ class PlantDriver:
             self._is_answered = False
             if self._is_lockstep:
                 self._let_time_pass(True)
-
-    def _resume(self) -> None:
-        """Accept commands again."""
-        self._run.release()
-        if self._is_lockstep:
-            self._let_time_pass(False)
 
     def _let_time_pass(self, passes: bool) -> None:
         self._pace.start()
@@ -310,8 +287,10 @@ class PlantDriver:
                 return
             try:
                 self._run.advance()
-            except DivergedError as error:
-                self._stop(str(error))
+            except DivergedError as error:  # there is no valid state to continue from
+                self._is_on = False
+                self._let_time_pass(False)
+                self._announce(f"{error} (~/reset, then ~/run)", ERROR)
                 return
         if self._is_single:
             self._is_single = self._is_on = False
@@ -323,19 +302,18 @@ class PlantDriver:
         held = self._run.guard.holding
         self._topics.publish_hold(held)
         self._modes.note(self.mode, self._run.reason)
-        if self._hand is not None:
-            self._hand.hold(held)
+        if self.hand is not None:
+            self.hand.hold(held)
 
     def _publish(self) -> None:
         """Publish the current tick, and compute the answer of a hand in this process."""
         state, stamp = self._run.state, self._run.stamp
-        true, sliding = true_reading(state), sliding_speeds(state)
-        self._topics.publish(stamp, state, true, sliding)
+        self._topics.publish(stamp, state)
         self._sent_at = time.monotonic()
         self._diagnostics.tick()
-        if self._hand is None:
+        if self.hand is None:
             return
-        self._torque = self._hand.answer(stamp, state, true, sliding)
+        self._torque = self.hand.answer(stamp, state)
         if not self._is_lockstep:
             self._take_answer()
 
@@ -351,12 +329,6 @@ class PlantDriver:
             self._take_answer()
         return self._torque is not None
 
-    def _stop(self, reason: str) -> None:
-        """Stop time, because there is no valid state to continue from or to publish."""
-        self._is_on = False
-        self._let_time_pass(False)
-        self._announce(f"{reason} (~/reset, then ~/run)", ERROR)
-
     def _finish(self) -> None:
         self._is_finished = True
         self._let_time_pass(False)
@@ -369,8 +341,7 @@ class PlantDriver:
         self._node.publish_diagnostics()
 
     def _on_pace(self) -> None:
-        due = self._pace.due()
-        if due:
+        if due := self._pace.due():
             self._advance(due)
 
     def _on_watch(self) -> None:
@@ -384,19 +355,15 @@ class PlantDriver:
             run.hold(_LEFT)
         if run.refusing or not self._waits or self._torque is not None or self._is_answered:
             return
-        if now - self._answered_at >= c.command_timeout:
-            self._on_long_silence()
+        silence = f"no usable joint_command for {c.command_timeout:g} s"
+        if now - self._answered_at >= c.command_timeout and run.commanded:
+            self._hold(f"{silence}, expected one for each tick")
+        elif now - self._answered_at >= c.command_timeout:
+            self._diagnostics.fault("state", f"{silence}, waiting at the first tick", WARN)
         if not run.refusing and now - self._sent_at >= c.resend_after:
             self._topics.repeat()
             self._sent_at = now
             self._resent += 1
-
-    def _on_long_silence(self) -> None:
-        text = f"no usable joint_command for {self._config.command_timeout:g} s"
-        if self._run.commanded:
-            self._hold(f"{text}, expected one for each tick")
-        else:
-            self._diagnostics.fault("state", f"{text}, waiting at the first tick", WARN)
 
     def to_safe_state(self, reason: str) -> None:
         """Hold the joints after an unexpected error, until the next valid command."""

@@ -85,12 +85,12 @@ class PlantNode(TactileNode[PlantConfig]):
 
     def begin(self, hand: InProcessHand) -> None:
         """Start with a hand in this process that answers the ticks."""
-        self._driver.connect(hand)
+        self._driver.hand = hand
         self._driver.begin()
 
     def on_config(self, config: PlantConfig) -> None:
         """Apply a changed friction, mass or speed."""
-        self._run.configure(config)
+        self._run.plant.configure(config)
         self._driver.limit_speed(config.speed)
 
     def to_safe_state(self, reason: str) -> None:

@@ -17,7 +17,6 @@ from tactile_hand_ros.control.contact import in_palm
 from tactile_hand_ros.control.holds import (
     GuardHold,
     GuardHoldConfig,
-    JointTerms,
     fitted_gains,
     joint_torque,
     largest_stiffness,
@@ -27,7 +26,7 @@ from tactile_hand_ros.control.holds import (
     tip_forces,
 )
 from tactile_hand_ros.control.optimizer.force_optimizer import ForceOptimizer, ForceOptimizerConfig
-from tactile_hand_ros.hand.hand import Hand
+from tactile_hand_ros.hand.hand import Dynamics, Hand
 from tactile_hand_ros.scenario.scenario import load_scenario
 from tactile_hand_ros.simulation.plant import Plant
 
@@ -47,8 +46,8 @@ def hold(tick=0.002, **changes) -> GuardHold:
     return GuardHold(GuardHoldConfig().changed(changes), HAND, tick)
 
 
-def terms(theta, rates) -> JointTerms:
-    return JointTerms(*HAND.dynamics(theta, rates))
+def terms(theta, rates) -> Dynamics:
+    return HAND.dynamics(theta, rates)
 
 
 @pytest.mark.parametrize("tick", [0.0005, 0.002, 0.01])

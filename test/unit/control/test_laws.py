@@ -8,7 +8,7 @@ from support.grasps import moved
 
 from tactile_hand_ros.control.contact import Contacts, contact_frame
 from tactile_hand_ros.control.holds import FittedGains
-from tactile_hand_ros.control.laws import LawConfig, ManipulationLaw, OptimalLaw, Target
+from tactile_hand_ros.control.laws import LAWS, LawConfig, ManipulationLaw, OptimalLaw, Target
 from tactile_hand_ros.control.optimizer.force_optimizer import ForceOptimizer, ForceOptimizerConfig
 from tactile_hand_ros.hand.hand import Hand
 from tactile_hand_ros.rotations import rotation_from_vector
@@ -98,7 +98,7 @@ def test_equation_8_to_the_letter(grip):
     np.testing.assert_allclose(grip.torque("kawamura").total, expected, atol=1e-11)
 
 
-def test_a_law_is_built_for_a_configuration_and_not_for_a_tick(grip):
+def test_a_law_is_built_for_a_configuration_and_not_for_a_tick(grip, monkeypatch):
     built = []
 
     class Counted(OptimalLaw):
@@ -106,7 +106,8 @@ def test_a_law_is_built_for_a_configuration_and_not_for_a_tick(grip):
             built.append((config.k_p, *radii))
             super().__init__(config, radii)
 
-    law = ManipulationLaw(LawConfig(k_p=3.0), RADII, Counted)
+    monkeypatch.setitem(LAWS, "optimal", Counted)
+    law = ManipulationLaw(LawConfig(k_p=3.0), RADII)
     for _ in range(3):
         grip.torque("optimal", law=law)
     law.configure(LawConfig(k_p=4.0))

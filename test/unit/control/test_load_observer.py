@@ -92,13 +92,6 @@ def test_lost_forces_keep_the_load_until_they_return(value):
     np.testing.assert_allclose(doubled, (2.0 - math.exp(-DT / TIME)) * before, rtol=1e-12)
 
 
-@pytest.mark.parametrize("forces", [FORCES, np.full((3, 3), np.nan)])
-def test_switched_off_it_carries_nothing(forces):
-    observer = settled(ObserverConfig(time=TIME, **UNLIMITED))
-    carried = observer.step(ObserverConfig(time=0.0), GRIP, forces, DT)
-    np.testing.assert_array_equal(carried, np.zeros(6))
-
-
 def test_reset_forgets_the_load():
     config = ObserverConfig(time=TIME, **UNLIMITED)
     observer = settled(config)

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A hand with more than three fingers holds with the touching ones, and the others return."""
 
-import dataclasses
-
 import numpy as np
 import pytest
 from support.grasps import contacts_at
@@ -101,7 +99,7 @@ def test_an_obstacle_off_the_skin_is_pressed_softly(tmp_path):
         touch = step(*args)
         positions, forces = touch.positions.copy(), touch.forces.copy()
         positions[0], forces[0] = np.nan, 0.0
-        return dataclasses.replace(touch, positions=positions, forces=forces)
+        return touch._replace(positions=positions, forces=forces)
 
     for row in range(600):
         loop.tick(record, row)

@@ -34,7 +34,7 @@ from tactile_hand_ros.ros.messages import (
     stamp_to_ns,
 )
 from tactile_hand_ros.scenario.scenario import load_scenario
-from tactile_hand_ros.simulation.plant import Plant, true_reading
+from tactile_hand_ros.simulation.plant import Plant
 
 TICK = 2_000_000
 PLANT = Plant(load_scenario("paper").plant)
@@ -402,7 +402,7 @@ def test_who_has_fallen_behind_answers_the_newest_tick_and_the_roundest(here):
     publisher = here.user.create_publisher(PoseArray, contacts, qos.tick_qos())
     here.wait(lambda: publisher.get_subscription_count() == 1)
     here.wait(lambda: node.peers()[f"publications /{answered}"] == 1, "the reader")
-    encode, reading = ContactsCodec(3).encode, true_reading(STATE)
+    encode, reading = ContactsCodec(3).encode, STATE.touch
     for number in range(1000, 1041):
         publisher.publish(encode(reading.positions, reading.quaternions, number * TICK))
     assert publisher.wait_for_all_acked()

@@ -16,13 +16,13 @@ from tactile_hand_ros.nodes.tactile_sensor import TactileSensorNode
 from tactile_hand_ros.ros.messages import JointCodec
 from tactile_hand_ros.ros.qos import tick_qos
 from tactile_hand_ros.scenario.scenario import load_scenario
-from tactile_hand_ros.simulation.plant import Plant, true_reading
+from tactile_hand_ros.simulation.plant import Plant
 from tactile_hand_ros.simulation.skin import TactileReading, miscalibrated
 
 TICK = 2_000_000
 PLANT = Plant(load_scenario("paper").plant)
 STATE, HAND = PLANT.state, PLANT.hand
-TRUE, STILL = true_reading(STATE), np.zeros(3)
+TRUE, STILL = STATE.touch, np.zeros(3)
 
 
 def sense(node: Any, stamp: int) -> TactileReading:

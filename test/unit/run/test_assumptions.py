@@ -14,7 +14,6 @@ from tactile_hand_ros.closed_loop.record import Record
 from tactile_hand_ros.control.optimizer.force_optimizer import ForceOptimizer, ForceOptimizerConfig
 from tactile_hand_ros.hand.hand import Hand
 from tactile_hand_ros.run.assumptions import assumptions
-from tactile_hand_ros.simulation.plant import true_reading
 
 HAND = Hand.load("paper")
 UNKNOWN, STICK, SLIP = 0, 1, 2
@@ -34,7 +33,7 @@ def record(paper):
 def first_grasp():
     """Return forty 10 ms ticks during which the paper's hand keeps its first grasp."""
     state = plant().state
-    seen = true_reading(state)
+    seen = state.touch
     record = Record.empty(40, HAND.finger_names, HAND.joint_names)
     record.stamps[:] = 10_000_000 * np.arange(40)
     record.theta[:] = state.theta

@@ -10,7 +10,7 @@ from tactile_hand_ros.control.contact import contact_frame
 from tactile_hand_ros.hand.hand import Hand
 from tactile_hand_ros.rotations import rotation_from_quaternion, rotation_from_vector
 from tactile_hand_ros.scenario.scenario import load_scenario
-from tactile_hand_ros.simulation.plant import Plant, true_reading
+from tactile_hand_ros.simulation.plant import Plant
 from tactile_hand_ros.simulation.skin import CalibrationConfig, miscalibrated
 
 
@@ -30,7 +30,7 @@ def test_larger_tips_touch_where_they_are_and_are_reported_where_the_model_is() 
     state, known = made.plant.state, made.plant.model
     np.testing.assert_allclose(made.plant.hand.radii, 1.1 * known.radii)
     assert np.abs(state.gaps).max() < 1e-12
-    true = true_reading(state)
+    true = state.touch
     errors = made.scenario.tactile_sensor.calibration
     seen = miscalibrated(errors, known, state.theta, true)
     normals = rotation_from_quaternion(true.quaternions)[:, :, 1]
@@ -46,7 +46,7 @@ def test_a_turned_skin_turns_normal_and_force_alike() -> None:
     made = loop()
     made.run(40)
     state, hand = made.plant.state, made.plant.model
-    true = true_reading(state)
+    true = state.touch
     errors = CalibrationConfig(skin_rotation=tuple(vector))
     seen = miscalibrated(errors, hand, state.theta, true)
     tips = hand.tip_rotations(state.theta)

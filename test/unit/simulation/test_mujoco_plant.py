@@ -10,7 +10,6 @@ from support.plants import forces_in_palm, plant, squeeze, torque_for
 
 from tactile_hand_ros.errors import DivergedError
 from tactile_hand_ros.extras import MissingLibraryError
-from tactile_hand_ros.simulation.plant import sliding_speeds
 from tactile_hand_ros.simulation.plant_config import Disturbance, FrictionChange
 
 FAR = {"object__position": (0.0, 0.0, 9.0), "object__mass": 0.2}
@@ -90,7 +89,7 @@ def test_a_block_slides_when_coulomb_says_so(friction):
     most = 12.0 * friction
     pull = Disturbance(kind="ramp", duration=1.5, force=(0.0, 0.0, most))
     advance, states = held(friction, disturbances=[pull]), []
-    while len(states) < 1500 and (not states or sliding_speeds(states[-1]).min() < 1e-3):
+    while len(states) < 1500 and (not states or states[-1].speeds.min() < 1e-3):
         states.append(advance())
     started = most * len(states) / 1500
     normals = np.array([state.forces[:, 1] for state in states])

@@ -79,7 +79,7 @@ def test_a_reset_run_repeats_to_the_bit_and_keeps_a_live_friction():
     run.reset()
     assert run.stamp == 0 and not run.refusing and not run.commanded and not run.guard.reason
     np.testing.assert_array_equal(end(), first)
-    run.configure(config().changed({"object.friction": 0.25}))
+    run.plant.configure(config().changed({"object.friction": 0.25}))
     assert (run.plant.friction == 0.25).all()
     run.reset()
     assert (run.plant.friction == 0.25).all()
@@ -101,7 +101,7 @@ def test_a_push_moves_the_object_until_it_is_not_renewed_and_a_live_mass_counts(
     run.push(run.stamp - 150_000_000, push)  # has traveled for long
     assert speed_after(100) == pytest.approx(0.3 + 0.3 * 0.05 / 0.2)
     run.push(run.stamp + 10**12, push)  # from another clock: it does not last longer
-    run.configure(run.plant.config.changed({"object.mass": 0.4}))
+    run.plant.configure(run.plant.config.changed({"object.mass": 0.4}))
     before = run.state.velocity[1]
     assert speed_after(1000) == pytest.approx(before + 0.3 * 0.2 / 0.4)
     run.push(0, push)
