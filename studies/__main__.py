@@ -142,15 +142,9 @@ def faults(
     from studies.faults import tables as fault_tables
     from tactile_hand_ros.errors import ConfigurationError
 
-    ways = tuple(dict.fromkeys(way or space.WAYS))
-    if unknown := [name for name in ways if name not in space.WAYS]:
-        raise ConfigurationError(
-            f"--way: unknown value '{unknown[0]}'; choose from {', '.join(space.WAYS)}"
-        )
-    if unknown := [name for name in hand or () if name not in space.SITUATIONS]:
-        raise ConfigurationError(
-            f"--hand: unknown value '{unknown[0]}'; choose from {', '.join(space.SITUATIONS)}"
-        )
+    ways, known = tuple(dict.fromkeys(way or space.WAYS)), (*space.WAYS, *space.SITUATIONS)
+    if unknown := {*ways, *(hand or ())}.difference(known):
+        raise ConfigurationError(f"unknown: {', '.join(unknown)}; choose from {', '.join(known)}")
     check_writable(out)
     cells = space.cells(hand or tuple(space.SITUATIONS))
     among = [c for c in cells if c.way in ways and deaths in (None, c.is_death)]
@@ -165,12 +159,11 @@ def faults(
 def fuzz(
     seconds: Annotated[float, typer.Option(help="Duration [s].", min=1.0)] = 60.0,
     seed: SeedOption = 0,
-    out: OutOption = Path("fuzz"),
 ) -> None:
     """Send hostile bytes to running nodes until one crashes, hangs, grows or moves the object."""
     from studies.fuzz import GROWTH, fuzz_nodes
 
-    report = fuzz_nodes(seconds, seed, out)
+    report = fuzz_nodes(seconds, seed)
     print(json.dumps(asdict(report), indent=2))
     if report.finding or report.growth > GROWTH:
         raise typer.Exit(1)
