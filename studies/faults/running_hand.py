@@ -14,7 +14,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseArray, PoseStamped, WrenchStamped
-from numpy.typing import NDArray
 from rclpy.node import Node
 from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import JointState
@@ -23,6 +22,7 @@ from std_srvs.srv import SetBool, Trigger
 
 from bench.processes import CapturedProcess, isolated_domain, start_executable
 from tactile_hand_ros import names
+from tactile_hand_ros.compiled import Array
 from tactile_hand_ros.config.hand_config import load_hand_config
 from tactile_hand_ros.config.model import Config
 from tactile_hand_ros.nodes.recorder.config import RecorderConfig
@@ -34,8 +34,6 @@ from tactile_hand_ros.ros.middleware import ros_context
 from tactile_hand_ros.ros.node import SUBSCRIPTIONS
 from tactile_hand_ros.ros.parameters import to_params_yaml
 from tactile_hand_ros.scenario.scenario import NODES, Scenario
-
-Array = NDArray[np.float64]
 
 PATIENCE = 180.0
 """Maximum wait for the nodes of a session [s]."""

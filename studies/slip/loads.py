@@ -13,11 +13,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from studies.slip.minimum import minimum_against
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
 from tactile_hand_ros.closed_loop.record import Record
+from tactile_hand_ros.compiled import Array
 from tactile_hand_ros.control.contact import Contacts
 from tactile_hand_ros.scenario.scenario import Scenario, load_scenario
 from tactile_hand_ros.simulation.plant import Plant
@@ -25,8 +25,6 @@ from tactile_hand_ros.sweep.engine import FAILED, LOST, MISSED, REACHED, Point, 
 from tactile_hand_ros.sweep.results import fraction_of
 from tactile_hand_ros.sweep.space import Choice
 from tactile_hand_ros.sweep.table import Table
-
-Array = NDArray[np.float64]
 
 KINDS = ("step", "pulse", "ramp", "sine")
 DEFAULT = (0.6, 0.2)

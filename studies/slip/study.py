@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from studies.slip.minimum import minimum_against, minimum_at
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
 from tactile_hand_ros.closed_loop.record import Record
+from tactile_hand_ros.compiled import Array
 from tactile_hand_ros.control.contact import Contacts
 from tactile_hand_ros.control.slip.detector import ContactState
 from tactile_hand_ros.extras import optional
@@ -31,7 +32,6 @@ from tactile_hand_ros.sweep.results import fraction_of, median_interval, rank
 from tactile_hand_ros.sweep.space import Choice
 from tactile_hand_ros.sweep.table import Table
 
-Array = NDArray[np.float64]
 Event = Literal["friction", "step", "ramp"]
 
 EVENTS: tuple[Event, ...] = ("friction", "step", "ramp")
