@@ -21,16 +21,14 @@ from typing import Any
 
 import numpy as np
 import psutil
-from geometry_msgs.msg import PoseArray, PoseStamped, WrenchStamped
 from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
 from rclpy.serialization import serialize_message
-from sensor_msgs.msg import JointState
-from std_msgs.msg import Bool, Float64
 
 from studies.faults.running_hand import RunningHand
 from tactile_hand_ros import names
 from tactile_hand_ros.ros import qos
-from tactile_hand_ros.scenario.scenario import load_scenario
+from tactile_hand_ros.ros.endpoints import message_class
+from tactile_hand_ros.scenario.scenario import NODES, load_scenario
 
 GROWTH = 50 * 2**20
 """Maximum growth of a process's memory [B]."""
@@ -91,24 +89,14 @@ def damaged(data: bytes, chance: random.Random) -> bytes:
 
 
 def _inputs(hand: RunningHand) -> dict[str, Any]:
-    """Return every topic that a node subscribes to, with its type."""
-    topics: dict[str, Any] = {
-        names.JOINT_STATES: JointState,
-        names.JOINT_COMMAND: JointState,
-        names.TRUE_SLIP: JointState,
-        names.GRIP_STATE: JointState,
-        names.CONTACTS: PoseArray,
-        names.TRUE_CONTACTS: PoseArray,
-        names.GRASP_FORCE: WrenchStamped,
-        names.DESIRED_POSE: PoseStamped,
-        names.USER_GRASP_FORCE: Float64,
-        names.JOINT_HOLD: Bool,
-        names.TOUCH_REJECTED: Bool,
+    """Return every topic that a node of the hand subscribes to, with its type."""
+    types = dict(hand.node.get_topic_names_and_types())
+    ends = {topic: hand.node.get_subscriptions_info_by_topic(topic) for topic in types}
+    return {
+        topic: message_class(types[topic][0])
+        for topic, subscribers in ends.items()
+        if topic not in names.OF_ALL and any(end.node_name in NODES for end in subscribers)
     }
-    for finger in hand.fingers:
-        for named in (names.wrench, names.true_wrench, names.optimal_force):
-            topics[named(finger)] = WrenchStamped
-    return topics
 
 
 def fuzz_nodes(seconds: float, seed: int) -> Report:
@@ -140,9 +128,9 @@ def fuzz_nodes(seconds: float, seed: int) -> Report:
                     publishers[topic].publish(good[topic][:4] + damaged(good[topic][4:], chance))
             report.inputs += _BURST
             report.finding = _wrong(hand, start)
-            grown = {name: now - memory[name] for name, now in _memory(hand).items()}
-            report.grew_most = max(grown, key=lambda name: grown[name], default="")
-            report.growth = max(report.growth, *grown.values())
+            for name, now in _memory(hand).items():
+                if now - memory[name] > report.growth:
+                    report.growth, report.grew_most = now - memory[name], name
     return report
 
 
