@@ -120,20 +120,12 @@ def _conclude(
     from tactile_hand_ros.orchestrator import results
 
     show = functools.partial(console.print, soft_wrap=True)
-
-    def tell(line: str) -> None:
-        if not options.quiet:
-            show(line)
-
-    if plan.record:
-        tell("reading the bag")
     found = results.read_results(plan, directory, outcome)
     verdict = results.judge(plan, outcome, found, signal_code)
     results.write_summary(plan, directory, outcome, found, verdict)
     if found.run is not None:
         console.print(results.table(plan, outcome, found))
         if options.report:
-            tell("writing the report")
             show(results.report_line(found.run))
     show(f"{results.in_words(verdict, found)}; results: {directory.path}")
     with contextlib.suppress(OSError):  # the terminal may be gone
