@@ -77,6 +77,7 @@ class RecorderNode(TactileNode[RecorderConfig]):
         for publisher in local_publishers:
             if publisher.topic in self._selection:
                 self._tap(publisher)
+        self._discover()  # now: a hand in this process starts next
         period = _SHARED_PERIOD if self._shares_process else _DISCOVERY_PERIOD
         self._work = [
             self.create_timer(period, self._discover),
