@@ -128,10 +128,6 @@ def faults(
     hand: Annotated[
         list[str] | None, typer.Option(help="paper or human; may be repeated. By default both.")
     ] = None,
-    deaths: Annotated[
-        bool | None,
-        typer.Option(help="Only killed or stopped nodes, or only other faults."),
-    ] = None,
     jobs: JobsOption = -1,
 ) -> None:
     """Inject faults into the running hand, and measure drops, time to safety and forces.
@@ -147,7 +143,7 @@ def faults(
         raise ConfigurationError(f"unknown: {', '.join(unknown)}; choose from {', '.join(known)}")
     check_writable(out)
     cells = space.cells(hand or tuple(space.SITUATIONS))
-    among = [c for c in cells if c.way in ways and deaths in (None, c.is_death)]
+    among = [c for c in cells if c.way in ways]
     with progress("injecting") as watch:
         chosen = space.sample(runs, seed, among)
         for name, group in itertools.groupby(chosen, lambda run: run.way):
