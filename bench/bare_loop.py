@@ -11,7 +11,7 @@ import sys
 import threading
 import time
 
-from tactile_hand_ros.ros.scheduling import Scheduling
+from tactile_hand_ros.ros.scheduling import raise_priority
 
 _PATIENCE = 60.0  # s, in addition to the measured time
 
@@ -42,7 +42,7 @@ def wake_at_each_tick(rate: float, seconds: float) -> tuple[int, int]:
 def main() -> None:
     """Run the loop and print its result."""
     rate, seconds, priority = (float(word) for word in sys.argv[1:4])
-    Scheduling(priority=int(priority)).raise_priority()
+    raise_priority(int(priority))
     print(*wake_at_each_tick(rate, seconds))
 
 

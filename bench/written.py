@@ -9,12 +9,12 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tactile_hand_ros import names
 from tactile_hand_ros.cdr import clock_bytes
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
 from tactile_hand_ros.closed_loop.record import Record
+from tactile_hand_ros.compiled import Array
 from tactile_hand_ros.nodes.recorder.writer_process import WriterProcess
 from tactile_hand_ros.ros.messages import ContactsCodec, JointCodec, PoseCodec, WrenchCodec
 from tactile_hand_ros.scenario.scenario import Scenario
@@ -61,63 +61,58 @@ class TickMessages:
 
     def __init__(self, record: Record) -> None:
         """Create the codecs for a record, which may be filled tick by tick."""
-        self._record = record
-        fingers, joints = record.finger_names, record.joint_names
-        self._states = JointCodec(joints, ("position", "velocity", "effort"))
-        self._command = JointCodec(joints, ("effort",))
-        self._slip, self._grips = JointCodec(fingers, ("position", "velocity")), JointCodec(fingers)
-        self._contacts, self._pose = ContactsCodec(len(fingers)), PoseCodec()
-        self._grasp_force = WrenchCodec(names.PALM_FRAME)
-        self._forces = [WrenchCodec(names.contact_frame(name)) for name in fingers]
-        self._optimal = [
-            WrenchCodec(names.contact_frame(name), nan_allowed=True) for name in fingers
+        r, fingers, joints = record, record.finger_names, record.joint_names
+        self._record = r
+        contacts, pose = ContactsCodec(len(fingers)).encode, PoseCodec().encode
+        slip, command = (
+            JointCodec(fingers, ("position", "velocity")),
+            JointCodec(joints, ("effort",)),
+        )
+        wrench = WrenchCodec(names.PALM_FRAME).encode
+        self._parts = [
+            _joints(names.TRUE_SLIP, slip, r.true_slid, r.true_sliding),
+            _pose(names.TRUE_CONTACTS, _CONTACTS, contacts, r.true_positions, r.true_quaternions),
+            *_wrenches(names.true_wrench, fingers, r.true_forces),
+            _joints(names.JOINT_STATES, JointCodec(joints), r.theta, r.rates, r.torque),
+            _pose(names.OBJECT_POSE, _POSE, pose, r.object_position, r.object_quaternion),
+            (names.CLOCK, _CLOCK, lambda stamp, _: clock_bytes(stamp)),
+            _pose(names.CONTACTS, _CONTACTS, contacts, r.contact_positions, r.contact_quaternions),
+            *_wrenches(names.wrench, fingers, r.forces),
+            _joints(names.GRIP_STATE, JointCodec(fingers), r.friction, r.slip_evidence, r.grip),
+            (names.GRASP_FORCE, _WRENCH, lambda t, i: wrench((0.0, r.grasp_force[i], 0.0), t)),
+            *_wrenches(names.optimal_force, fingers, r.optimal_forces),
+            _joints(names.JOINT_COMMAND, command, r.command),
         ]
+        self._auxiliary = _pose(
+            names.AUXILIARY_POSE, _POSE, pose, r.auxiliary_position, r.auxiliary_quaternion
+        )
 
     def of(self, row: int) -> Iterator[Message]:
         """Yield the messages of a tick."""
-        yield from self._of_plant(row)
-        yield from self._of_controllers(row)
+        stamp, is_posed = int(self._record.stamps[row]), self._record.auxiliary_position[row, 0]
+        for topic, kind, encode in self._parts + [self._auxiliary] * bool(np.isfinite(is_posed)):
+            yield topic, kind, encode(stamp, row)
 
-    def _of_plant(self, row: int) -> Iterator[Message]:
-        r, stamp = self._record, int(self._record.stamps[row])
-        slip = self._slip.encode(stamp, r.true_slid[row], r.true_sliding[row])
-        yield names.TRUE_SLIP, _JOINTS, slip
-        contacts = self._contacts.encode(r.true_positions[row], r.true_quaternions[row], stamp)
-        yield names.TRUE_CONTACTS, _CONTACTS, contacts
-        yield from self._wrenches(names.true_wrench, self._forces, r.true_forces, row)
-        states = self._states.encode(stamp, r.theta[row], r.rates[row], r.torque[row])
-        yield names.JOINT_STATES, _JOINTS, states
-        pose = self._pose.encode(r.object_position[row], r.object_quaternion[row], stamp)
-        yield names.OBJECT_POSE, _POSE, pose
-        yield names.CLOCK, _CLOCK, clock_bytes(stamp)
 
-    def _of_controllers(self, row: int) -> Iterator[Message]:
-        r, stamp = self._record, int(self._record.stamps[row])
-        contacts = self._contacts.encode(
-            r.contact_positions[row], r.contact_quaternions[row], stamp
-        )
-        yield names.CONTACTS, _CONTACTS, contacts
-        yield from self._wrenches(names.wrench, self._forces, r.forces, row)
-        grips = self._grips.encode(stamp, r.friction[row], r.slip_evidence[row], r.grip[row])
-        yield names.GRIP_STATE, _JOINTS, grips
-        grasp_force = self._grasp_force.encode((0.0, float(r.grasp_force[row]), 0.0), stamp)
-        yield names.GRASP_FORCE, _WRENCH, grasp_force
-        yield from self._wrenches(names.optimal_force, self._optimal, r.optimal_forces, row)
-        yield names.JOINT_COMMAND, _JOINTS, self._command.encode(stamp, r.command[row])
-        position = r.auxiliary_position[row]
-        if np.isfinite(position[0]):
-            pose = self._pose.encode(position, r.auxiliary_quaternion[row], stamp)
-            yield names.AUXILIARY_POSE, _POSE, pose
+Part = tuple[str, str, Callable[[int, int], bytes]]
+"""Topic, type, and a function of timestamp [ns] and row."""
 
-    def _wrenches(
-        self,
-        topic: Callable[[str], str],
-        codecs: Sequence[WrenchCodec],
-        forces: NDArray[np.float64],
-        row: int,
-    ) -> Iterator[Message]:
-        """Yield the forces of one tick by finger; `forces` has shape (n, k, 3)."""
-        stamp = int(self._record.stamps[row])
-        of_tick = zip(self._record.finger_names, codecs, forces[row].tolist(), strict=True)
-        for name, codec, force in of_tick:
-            yield topic(name), _WRENCH, codec.encode(force, stamp)
+
+def _joints(topic: str, codec: JointCodec, *arrays: Array) -> Part:
+    return topic, _JOINTS, lambda stamp, row: codec.encode(stamp, *(each[row] for each in arrays))
+
+
+def _pose(
+    topic: str, kind: str, encode: Callable[..., bytes], positions: Array, quaternions: Array
+) -> Part:
+    return topic, kind, lambda stamp, row: encode(positions[row], quaternions[row], stamp)
+
+
+def _wrenches(topic: Callable[[str], str], fingers: Sequence[str], forces: Array) -> list[Part]:
+    """Return the forces by finger."""
+    return [_wrench(topic(name), name, forces[:, i]) for i, name in enumerate(fingers)]
+
+
+def _wrench(topic: str, finger: str, forces: Array) -> Part:
+    codec = WrenchCodec(names.contact_frame(finger), nan_allowed=True)
+    return topic, _WRENCH, lambda stamp, row: codec.encode(forces[row].tolist(), stamp)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`make study NAME=... ARGS=...`: many runs on all cores, ending in figures and a table."""
+"""`make study NAME=... ARGS=...`: many runs on all cores, ending in tables."""
 
 from __future__ import annotations
 
@@ -48,14 +48,14 @@ def _kept(study: Study, out: Path, jobs: int) -> RunTable:
     return read_table(out)
 
 
-def _finish(out: Path, files: list[Path], *tables: Table) -> None:
-    """Write tables as Markdown, and print the tables and the files."""
+def _finish(out: Path, *tables: Table) -> None:
+    """Print tables, and write them as Markdown."""
     out.mkdir(parents=True, exist_ok=True)
     text = "\n".join(markdown(columns, rows) for _, columns, rows in tables)
     out.joinpath("summary.md").write_text(text, encoding="utf-8")
     for table in tables:
         print_table(*table)
-    print_files([*files, out / "summary.md"], out)
+    print_files([out / "summary.md"], out)
 
 
 def slip(
@@ -67,13 +67,11 @@ def slip(
 ) -> None:
     """Measure how fast slip is detected and stopped, and at what grasp force."""
     from studies.slip import study as s
-    from tactile_hand_ros.report.style import save
 
     check_writable(out)
     table = _kept(s.study_of(runs, seed, hand), out, jobs)
-    files = save(s.figure(table), out, "study_detection")
     delays = (f"slip, {runs} runs", s.COLUMNS, s.rows(table))
-    _finish(out, files, delays, ("how often", s.FRACTION_COLUMNS, s.fraction_rows(table)))
+    _finish(out, delays, ("how often", s.FRACTION_COLUMNS, s.fraction_rows(table)))
 
 
 def invariance(
@@ -89,7 +87,7 @@ def invariance(
     with workers(jobs):
         done = in_parallel(functools.partial(i.compare, count=runs, seed=seed), i.SCENARIOS)
         found = [row for rows in done for row in rows]
-    _finish(out, [], ("invariance", i.COLUMNS, found))
+    _finish(out, ("invariance", i.COLUMNS, found))
 
 
 def loads(
@@ -108,15 +106,13 @@ def loads(
     After an interruption, the same command continues with the results in the folder.
     """
     from studies.slip import loads as load_study
-    from tactile_hand_ros.report.style import save
 
     check_writable(out)
     reserves = load_study.RESERVES
     if floor:
         reserves = {"floor": tuple(floor), "fraction": load_study.DEFAULT[1:]}
-    curve = load_study.trade_offs(_kept(load_study.study_of(runs, seed, reserves, hand), out, jobs))
-    files = save(load_study.figure(curve), out, "study_loads")
-    _finish(out, files, (f"{runs} loads", load_study.HEADS, load_study.rows(curve)))
+    table = _kept(load_study.study_of(runs, seed, reserves, hand), out, jobs)
+    _finish(out, (f"{runs} loads", load_study.HEADS, load_study.rows(table)))
 
 
 def faults(
@@ -132,10 +128,6 @@ def faults(
     hand: Annotated[
         list[str] | None, typer.Option(help="paper or human; may be repeated. By default both.")
     ] = None,
-    deaths: Annotated[
-        bool | None,
-        typer.Option(help="Only killed or stopped nodes, or only other faults."),
-    ] = None,
     jobs: JobsOption = -1,
 ) -> None:
     """Inject faults into the running hand, and measure drops, time to safety and forces.
@@ -146,35 +138,28 @@ def faults(
     from studies.faults import tables as fault_tables
     from tactile_hand_ros.errors import ConfigurationError
 
-    ways = tuple(dict.fromkeys(way or space.WAYS))
-    if unknown := [name for name in ways if name not in space.WAYS]:
-        raise ConfigurationError(
-            f"--way: unknown value '{unknown[0]}'; choose from {', '.join(space.WAYS)}"
-        )
-    if unknown := [name for name in hand or () if name not in space.SITUATIONS]:
-        raise ConfigurationError(
-            f"--hand: unknown value '{unknown[0]}'; choose from {', '.join(space.SITUATIONS)}"
-        )
+    ways, known = tuple(dict.fromkeys(way or space.WAYS)), (*space.WAYS, *space.SITUATIONS)
+    if unknown := {*ways, *(hand or ())}.difference(known):
+        raise ConfigurationError(f"unknown: {', '.join(unknown)}; choose from {', '.join(known)}")
     check_writable(out)
     cells = space.cells(hand or tuple(space.SITUATIONS))
-    among = [c for c in cells if c.way in ways and deaths in (None, c.is_death)]
+    among = [c for c in cells if c.way in ways]
     with progress("injecting") as watch:
         chosen = space.sample(runs, seed, among)
         for name, group in itertools.groupby(chosen, lambda run: run.way):
             campaign.run_campaign(list(group), out / name, jobs, watch)
     tables = [read_table(out / name) for name in ways if (out / name).is_dir()]
-    _finish(out, [], ("faults", fault_tables.COLUMNS, fault_tables.rows(tables)))
+    _finish(out, ("faults", fault_tables.COLUMNS, fault_tables.rows(tables)))
 
 
 def fuzz(
     seconds: Annotated[float, typer.Option(help="Duration [s].", min=1.0)] = 60.0,
     seed: SeedOption = 0,
-    out: OutOption = Path("fuzz"),
 ) -> None:
     """Send hostile bytes to running nodes until one crashes, hangs, grows or moves the object."""
     from studies.fuzz import GROWTH, fuzz_nodes
 
-    report = fuzz_nodes(seconds, seed, out)
+    report = fuzz_nodes(seconds, seed)
     print(json.dumps(asdict(report), indent=2))
     if report.finding or report.growth > GROWTH:
         raise typer.Exit(1)
@@ -190,7 +175,7 @@ def stalls(
     check_writable(out)
     table = _kept(s.study_of(), out, jobs)
     title = "moved [mm] / slid [mm] / peak of the grasp force [N]"
-    _finish(out, [], (title, s.COLUMNS, s.rows(table)))
+    _finish(out, (title, s.COLUMNS, s.rows(table)))
 
 
 def hands(
@@ -203,7 +188,7 @@ def hands(
     check_writable(out)
     with workers(jobs):
         found = list(in_parallel(h.tried, h.PAIRS))
-    _finish(out, [], ("hands", h.COLUMNS, found))
+    _finish(out, ("hands", h.COLUMNS, found))
 
 
 def engines(
@@ -221,11 +206,11 @@ def engines(
     with workers(jobs):
         rows = list(in_parallel(e.compare, scenario or scenario_names()))
     friction = ("friction", e.FRICTION_COLUMNS, e.friction_rows())
-    _finish(out, [], ("own / mujoco", e.COLUMNS, rows), friction)
+    _finish(out, ("own / mujoco", e.COLUMNS, rows), friction)
 
 
 app = typer.Typer(
-    help="Many runs on all cores, ending in figures and a table.",
+    help="Many runs on all cores, ending in tables.",
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     rich_markup_mode=None,

@@ -10,10 +10,10 @@ from collections.abc import Callable, Iterable
 from time import perf_counter
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
 from tactile_hand_ros.closed_loop.record import Record
+from tactile_hand_ros.compiled import Array
 from tactile_hand_ros.control.contact import hand_jacobian
 from tactile_hand_ros.errors import DivergedError
 from tactile_hand_ros.report.page import Result
@@ -22,8 +22,6 @@ from tactile_hand_ros.scenario.scenario import load_scenario
 from tactile_hand_ros.simulation.mujoco_plant import make_plant
 from tactile_hand_ros.simulation.plant import PlantState
 from tactile_hand_ros.simulation.plant_config import Disturbance, ObjectConfig, PlantConfig
-
-Array = NDArray[np.float64]
 
 ENGINES = ("own", "mujoco")
 COLUMNS = (

@@ -17,10 +17,10 @@ from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
 from tactile_hand_ros.closed_loop.record import Record
+from tactile_hand_ros.compiled import Array
 from tactile_hand_ros.config.hand_config import load_hand_config
 from tactile_hand_ros.config.plain_yaml import yaml_text
 from tactile_hand_ros.control.grasp import VirtualFrame
@@ -30,8 +30,6 @@ from tactile_hand_ros.hand.urdf import describe
 from tactile_hand_ros.rotations import rotation_from_vector, vector_from_rotation
 from tactile_hand_ros.scenario.scenario import Scenario, load_scenario
 from tactile_hand_ros.simulation.plant import Plant
-
-Array = NDArray[np.float64]
 
 COLUMNS = ("scenario", "changed", "alarms", "largest k_f", "last k_f", "slid", "outcome")
 SCENARIOS = ("hold", "pull", "human_hold", "human_pull")

@@ -152,7 +152,7 @@ class LastingOutput:
     """Standard output for work that must continue even if it can no longer be written."""
 
     def __init__(self) -> None:
-        """Keep the current standard output: a progress bar replaces it for a while."""
+        """Keep the current standard output."""
         self._stream = sys.stdout
 
     def __getattr__(self, name: str) -> Any:

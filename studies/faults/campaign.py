@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import asdict
 from pathlib import Path
@@ -19,7 +19,7 @@ from studies.faults.running_hand import RunningHand
 from studies.faults.space import Injection
 from tactile_hand_ros.sweep.engine import LOST, REACHED, Point, Study, workers
 from tactile_hand_ros.sweep.space import Choice
-from tactile_hand_ros.sweep.table import Tally, keep
+from tactile_hand_ros.sweep.table import Watch, keep
 
 _RECOVERY = 60.0  # s, maximum wait until the hand drives again; a busy machine starts nodes slowly
 _AFTERWARDS = 0.3  # s of observation after that
@@ -31,7 +31,7 @@ def run_campaign(
     runs: list[Injection],
     folder: Path,
     jobs: int = -1,
-    watch: Callable[[Tally], None] = lambda _: None,
+    watch: Watch = lambda done, total: None,
 ) -> None:
     """Make the missing runs of one way, and write the table of all runs.
 

@@ -15,7 +15,6 @@ from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from studies.faults import space
 from studies.faults.outcome import LET_GO, Outcome, distance
@@ -23,6 +22,7 @@ from studies.faults.situations import FAULT_TIME, SITUATIONS, scenario
 from studies.faults.space import Injection
 from studies.stalls import GuardedLoop
 from tactile_hand_ros.closed_loop.loop import Answer, SensingChain
+from tactile_hand_ros.compiled import Array
 from tactile_hand_ros.control.command_guard import TorqueCommand
 from tactile_hand_ros.control.contact import Contacts
 from tactile_hand_ros.control.controller import Command, Controller, Mode
@@ -31,8 +31,6 @@ from tactile_hand_ros.control.loads import CarriedLoad
 from tactile_hand_ros.control.slip.regulator import SlipRegulator
 from tactile_hand_ros.errors import DivergedError, TactileHandError
 from tactile_hand_ros.scenario.scenario import Scenario
-
-Array = NDArray[np.float64]
 
 DELAY = 0.1  # s
 _KEPT = 10  # a slow wire passes one message in ten

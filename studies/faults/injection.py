@@ -94,12 +94,10 @@ def _computer(hand: RunningHand, fault: str) -> Iterator[None]:
     if fault == "starved":
         with _busy(_LOOPS_PER_CORE * (os.cpu_count() or 1)):
             yield
-    elif fault == "stopped":
+    else:
         others = [p.pid for name, p in hand.processes.items() if name != names.PLANT]
         with _stopped(others):
             yield
-    else:
-        raise ValueError(f"unknown fault '{fault}' of the computer")
 
 
 @contextmanager
@@ -138,27 +136,14 @@ def _sender(hand: RunningHand, run: Injection) -> Callable[[], None]:
     _, seen = hand.positions(hand.since(time.monotonic() - 1.0))
     here = seen[-1]
 
-    def stuck() -> None:
-        hand.poses.publish(codec.encode(here, _STRAIGHT, 0))
+    def send() -> None:
+        if fault == "garbage":
+            hand.poses.publish(b"\0\1\0\0" + chance.randbytes(80))
+            return
+        jumps = [chance.uniform(-_JUMP, _JUMP) for _ in range(3)]
+        away = {"wrong": 10.0, "intermittent": np.array(jumps)}.get(fault, 0.0)
+        hand.poses.publish(codec.encode(here + away, _STRAIGHT, int(fault == "delayed")))
+        if fault == "wrong":
+            hand.grasp_forces.publish(Float64(data=chance.choice([-1.0, 1e6, float("nan")])))
 
-    def garbage() -> None:
-        hand.poses.publish(b"\0\1\0\0" + chance.randbytes(80))
-
-    def wrong() -> None:
-        hand.poses.publish(codec.encode(here + 10.0, _STRAIGHT, 0))
-        hand.grasp_forces.publish(Float64(data=chance.choice([-1.0, 1e6, float("nan")])))
-
-    def delayed() -> None:
-        hand.poses.publish(codec.encode(here, _STRAIGHT, 1))
-
-    def intermittent() -> None:
-        jump = [chance.uniform(-_JUMP, _JUMP) for _ in range(3)]
-        hand.poses.publish(codec.encode(here + jump, _STRAIGHT, 0))
-
-    return {
-        "stuck": stuck,
-        "garbage": garbage,
-        "wrong": wrong,
-        "delayed": delayed,
-        "intermittent": intermittent,
-    }[fault]
+    return send

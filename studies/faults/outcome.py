@@ -6,17 +6,13 @@ from __future__ import annotations
 import math
 import time
 from dataclasses import dataclass
-from typing import Any
-
-from numpy.typing import NDArray
 
 from studies.faults import space
 from studies.faults.running_hand import Received, RunningHand
 from studies.faults.situations import expected
 from studies.faults.space import Injection
 from tactile_hand_ros import names
-
-Array = NDArray[Any]
+from tactile_hand_ros.compiled import Array
 
 _MINIMUM = 0.1  # N; below this sum of normal forces, the hand does not hold yet
 _BEFORE = 0.1  # s before a fault during which the hand must hold the object

@@ -3,9 +3,10 @@
 
 from __future__ import annotations
 
+import bisect
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -13,7 +14,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseArray, PoseStamped, WrenchStamped
-from numpy.typing import NDArray
 from rclpy.node import Node
 from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import JointState
@@ -22,7 +22,9 @@ from std_srvs.srv import SetBool, Trigger
 
 from bench.processes import CapturedProcess, isolated_domain, start_executable
 from tactile_hand_ros import names
+from tactile_hand_ros.compiled import Array
 from tactile_hand_ros.config.hand_config import load_hand_config
+from tactile_hand_ros.config.model import Config
 from tactile_hand_ros.nodes.recorder.config import RecorderConfig
 from tactile_hand_ros.ros import qos
 from tactile_hand_ros.ros.diagnostics import ERROR
@@ -32,8 +34,6 @@ from tactile_hand_ros.ros.middleware import ros_context
 from tactile_hand_ros.ros.node import SUBSCRIPTIONS
 from tactile_hand_ros.ros.parameters import to_params_yaml
 from tactile_hand_ros.scenario.scenario import NODES, Scenario
-
-Array = NDArray[np.float64]
 
 PATIENCE = 180.0
 """Maximum wait for the nodes of a session [s]."""
@@ -76,12 +76,11 @@ class RunningHand:
         """Start all processes and wait until the nodes are connected."""
         try:
             domain = self._stack.enter_context(isolated_domain())
-            self._start_recorder()
+            self.start(names.RECORDER)
             if self.composed:
-                self._launch(names.COMPOSED, NODES)
-            else:
-                for name in NODES:
-                    self.start(name)
+                self.start(names.COMPOSED, NODES)
+            for name in () if self.composed else NODES:
+                self.start(name)
             context = self._stack.enter_context(ros_context(domain=domain))
             self.node = Node("campaign", context=context)
             self._stack.callback(self.node.destroy_node)
@@ -97,26 +96,15 @@ class RunningHand:
         """End all processes."""
         self._stack.close()
 
-    def _start_recorder(self) -> None:
-        config = RecorderConfig(output=str(self._folder / "bag"))
-        file = self._folder / "recorder.yaml"
-        file.write_text(to_params_yaml(config, names.RECORDER))
-        arguments = ("--ros-args", "--params-file", str(file))
-        process = start_executable(names.RECORDER, *arguments)
-        self.processes[names.RECORDER] = self._stack.enter_context(process)
-
-    def start(self, name: str) -> None:
-        """Start a node, or start it again."""
-        if name == names.RECORDER:
-            self._start_recorder()
-        else:
-            self._launch(name, (name,))
-
-    def _launch(self, executable: str, nodes: tuple[str, ...]) -> None:
+    def start(self, executable: str, nodes: Sequence[str] = ()) -> None:
+        """Start a node, or several nodes in one process, or start it again."""
         arguments = ["--ros-args"]
-        for name in nodes:
+        for name in nodes or (executable,):
+            config: Config = RecorderConfig(output=str(self._folder / "bag"))
+            if name != names.RECORDER:
+                config = self.scenario.node_config(name)
             file = self._folder / f"{name}.yaml"
-            file.write_text(to_params_yaml(self.scenario.node_config(name), name))
+            file.write_text(to_params_yaml(config, name))
             arguments += ["--params-file", str(file)]
         process = start_executable(executable, *arguments)
         self.processes[executable] = self._stack.enter_context(process)
@@ -178,12 +166,7 @@ class RunningHand:
 
     def since(self, moment: float) -> list[Received]:
         """Return the events after a moment of the monotonic clock [s]."""
-        events, found = self.events, []
-        for index in range(len(events) - 1, -1, -1):
-            if events[index].time < moment:
-                break
-            found.append(events[index])
-        return found[::-1]
+        return self.events[bisect.bisect_left(self.events, (moment,)) :]
 
     def read(self, event: Received) -> Any:
         """Return the message of an event."""

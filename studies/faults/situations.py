@@ -14,16 +14,14 @@ from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from studies.faults.space import SPREAD
 from studies.stalls import GuardedLoop
+from tactile_hand_ros.compiled import Array
 from tactile_hand_ros.control.command_guard import GuardConfig
 from tactile_hand_ros.errors import DivergedError
 from tactile_hand_ros.extras import optional
 from tactile_hand_ros.scenario.scenario import Scenario, load_scenario
-
-Array = NDArray[np.float64]
 
 RATES = {
     "paper": {"in-process": 500.0, "lockstep": 500.0, "composed": 250.0, "processes": 250.0},

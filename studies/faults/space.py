@@ -60,11 +60,6 @@ class Cell(NamedTuple):
     component: str
     fault: str
 
-    @property
-    def is_death(self) -> bool:
-        """Whether a node of the hand is killed or stopped."""
-        return self.component in HAND and self.fault in DEADLY
-
 
 def cells(hands: Sequence[str] = tuple(SITUATIONS)) -> list[Cell]:
     """Return all cells for some hands."""

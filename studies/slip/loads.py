@@ -10,27 +10,21 @@ from __future__ import annotations
 import functools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from studies.slip.minimum import minimum_against
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
 from tactile_hand_ros.closed_loop.record import Record
+from tactile_hand_ros.compiled import Array
 from tactile_hand_ros.control.contact import Contacts
-from tactile_hand_ros.report.style import PAGE, finger_color, look, new_figure
 from tactile_hand_ros.scenario.scenario import Scenario, load_scenario
 from tactile_hand_ros.simulation.plant import Plant
 from tactile_hand_ros.sweep.engine import FAILED, LOST, MISSED, REACHED, Point, Study
 from tactile_hand_ros.sweep.results import fraction_of
 from tactile_hand_ros.sweep.space import Choice
 from tactile_hand_ros.sweep.table import Table
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
-Array = NDArray[np.float64]
 
 KINDS = ("step", "pulse", "ramp", "sine")
 DEFAULT = (0.6, 0.2)
@@ -223,90 +217,26 @@ def run_one(point: Point) -> dict[str, Any]:
 HEADS = ("floor", "fraction", "loads", "grasp force before", "over need", "lost", "slid over 5 mm")
 
 
-@dataclass(frozen=True)
-class TradeOff:
-    """Comfort and safety with one reserve, over the survivable loads.
+def rows(table: Table) -> list[list[str]]:
+    """Return comfort and safety with each reserve over the survivable loads, columns as in `HEADS`.
 
-    Attributes:
-        floor: Floor of the reserve, per weight of a finger.
-        fraction: Its fraction of the largest recent load.
-        runs: Number of loads.
-        grasp_force: Mean of k_f before the load [N].
-        need: Mean of the minimum grasp force then [N].
-        lost: Number of lost objects.
-        slid: Number of objects that slid farther than `SLIDE` or were lost.
+    A failed run counts as a loss; an object that slid farther than `SLIDE` or was lost, as slid.
     """
-
-    floor: float
-    fraction: float
-    runs: int
-    grasp_force: float
-    need: float
-    lost: int
-    slid: int
-
-
-def trade_offs(table: Table) -> list[TradeOff]:
-    """Return comfort and safety for each reserve; a failed run counts as a loss."""
     failed = table["outcome"] == FAILED
     possible = failed | (table["survivable"] == True)  # noqa: E712, missing if it failed
     lost = failed | (table["outcome"] == LOST)
     slid = lost | (table["outcome"] == MISSED)
-    curve = []
+    found = []
     for floor, fraction in sorted(set(zip(table["floor"], table["fraction"], strict=True))):
         some = possible & (table["floor"] == floor) & (table["fraction"] == fraction)
-        curve.append(
-            TradeOff(
-                floor=float(floor),
-                fraction=float(fraction),
-                runs=int(some.sum()),
-                grasp_force=float(np.nanmean(table["grasp_force"][some])),
-                need=float(np.nanmean(table["need"][some])),
-                lost=int(lost[some].sum()),
-                slid=int(slid[some].sum()),
-            )
-        )
-    return curve
-
-
-def rows(curve: Sequence[TradeOff]) -> list[list[str]]:
-    """Return the curve as text, with the columns of `HEADS`."""
-    return [
-        [
-            f"{point.floor:g}",
-            f"{100 * point.fraction:g} %",
-            str(point.runs),
-            f"{point.grasp_force:.1f} N",
-            f"{point.grasp_force / point.need:.1f}",
-            _text(point.lost, point.runs),
-            _text(point.slid, point.runs),
-        ]
-        for point in curve
-    ]
+        runs = int(some.sum())
+        before, need = (float(np.nanmean(table[name][some])) for name in ("grasp_force", "need"))
+        numbers = str(runs), f"{before:.1f} N", f"{before / need:.1f}"
+        counts = (_text(int(flags[some].sum()), runs) for flags in (lost, slid))
+        found.append([f"{floor:g}", f"{100 * fraction:g} %", *numbers, *counts])
+    return found
 
 
 def _text(count: int, runs: int) -> str:
     value, low, high = fraction_of(count, runs)
     return f"{100 * value:.1f} % ({100 * low:.1f} to {100 * high:.1f})"
-
-
-def figure(curve: Sequence[TradeOff]) -> Figure:
-    """Draw the rates of sliding and loss against the relative grasp force before the load."""
-    with look():
-        made = new_figure(PAGE, 2.6)
-        axes = made.subplots()
-        fractions = sorted({point.fraction for point in curve})
-        for fraction, marker in zip(fractions, "svo^", strict=False):
-            some = [point for point in curve if point.fraction == fraction]
-            over = [point.grasp_force / point.need for point in some]
-            for i, (name, words) in enumerate({"slid": "slid over 5 mm", "lost": "lost"}.items()):
-                percent = [100.0 * getattr(point, name) / max(point.runs, 1) for point in some]
-                label = f"{words}, fraction {100 * fraction:g} %"
-                axes.plot(over, percent, f"{marker}-", color=finger_color(i), ms=3.5, label=label)
-        for point in some:
-            place = point.grasp_force / point.need, 100.0 * point.slid / max(point.runs, 1)
-            axes.annotate(f" {point.floor:g}", place, fontsize=7, va="bottom")
-        axes.set_xlabel("mean grasp force before the load per minimum, by floor of the reserve")
-        axes.set_ylabel("fraction of the loads [%]")
-        axes.legend()
-    return made

@@ -6,16 +6,15 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from tactile_hand_ros.closed_loop.record import Record
+from tactile_hand_ros.compiled import Array
 from tactile_hand_ros.control.contact import Contacts
 from tactile_hand_ros.control.grasp import centered, grasp_map
 from tactile_hand_ros.extras import optional
 from tactile_hand_ros.scenario.scenario import Scenario
 from tactile_hand_ros.simulation.plant_config import external_wrench
-
-Array = NDArray[np.float64]
 
 SIDES = 64
 """Edges of the pyramid inside a cone; the result is too large by at most 1 / cos(pi / 64)."""

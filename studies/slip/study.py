@@ -12,7 +12,7 @@ import functools
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,11 +20,11 @@ from numpy.typing import NDArray
 from studies.slip.minimum import minimum_against, minimum_at
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
 from tactile_hand_ros.closed_loop.record import Record
+from tactile_hand_ros.compiled import Array
 from tactile_hand_ros.control.contact import Contacts
 from tactile_hand_ros.control.slip.detector import ContactState
 from tactile_hand_ros.extras import optional
 from tactile_hand_ros.report import tables
-from tactile_hand_ros.report.style import FAINT, PAGE, finger_color, label_panel, look, new_figure
 from tactile_hand_ros.scenario.scenario import Scenario, load_scenario
 from tactile_hand_ros.simulation.plant import Plant
 from tactile_hand_ros.sweep.engine import LOST, MISSED, REACHED, Point, Study
@@ -32,11 +32,6 @@ from tactile_hand_ros.sweep.results import fraction_of, median_interval, rank
 from tactile_hand_ros.sweep.space import Choice
 from tactile_hand_ros.sweep.table import Table
 
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-
-Array = NDArray[np.float64]
 Event = Literal["friction", "step", "ramp"]
 
 EVENTS: tuple[Event, ...] = ("friction", "step", "ramp")
@@ -49,8 +44,6 @@ HELD = {"known": 2.0, "unknown": 12.0}
 SLIDING = 1e-3  # m/s; slower sliding is creep of sticking contacts
 LOST_SLIDE = 0.02  # m; beyond it, the object counts as lost
 _RISEN = 1.02  # grasp force relative to that before the event that counts as a reaction
-_NOISES = ((0.0, 0.005), (0.005, 0.012), (0.012, 1.0))  # N
-_LONGEST = 40.0  # ms, range of the figure
 
 
 @dataclass(frozen=True)
@@ -365,35 +358,3 @@ def fraction_rows(table: Table) -> list[list[str]]:
 def _percent(count: int, n: int) -> tuple[str, str]:
     value, low, high = fraction_of(count, n)
     return f"{100 * value:.1f} %", f"{100 * low:.1f} to {100 * high:.1f} %"
-
-
-def figure(table: Table) -> Figure:
-    """Draw the distributions of detection and reaction times."""
-    slipped = _slipped(table)
-    with look():
-        made = new_figure(PAGE, 2.4)
-        left, right = made.subplots(1, 2, sharey=True)
-        _distributions(left, slipped["noise"], slipped["detection"], 10.0)
-        label_panel(left, "a", "from onset to alarm")
-        left.set_ylabel("fraction of slips")
-        left.legend(loc="lower right", title="force noise")
-        _distributions(right, slipped["noise"], slipped["reaction"], 20.0)
-        label_panel(right, "b", "from onset to rising grasp force")
-    return made
-
-
-def _distributions(axes: Axes, noise: Array, delays: Array, goal: float) -> None:
-    for i, (low, high) in enumerate(_NOISES):
-        values = np.sort(1e3 * delays[(low <= noise) & (noise < high)])
-        if not len(values):
-            continue
-        known = values[np.isfinite(values)]
-        # Extend the curve to the edge, so that undetected slips show as a gap below 1.
-        times = np.append(known, _LONGEST)
-        found = np.append(np.arange(1, len(known) + 1), len(known)) / len(values)
-        name = f"{1e3 * low:g} to {1e3 * high:g} mN" if i < 2 else f"over {1e3 * low:g} mN"
-        axes.step(times, found, where="post", color=finger_color(i), label=name)
-    axes.axvline(goal, color=FAINT, linewidth=0.8)
-    axes.set_xlim(-5.0, _LONGEST)
-    axes.set_ylim(0.0, 1.0)
-    axes.set_xlabel("time [ms]")

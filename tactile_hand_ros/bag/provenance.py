@@ -9,11 +9,8 @@ from importlib.metadata import PackageNotFoundError, version
 
 import tactile_hand_ros
 
-RECORD_NAME = "tactile_hand_ros"
-"""Name of the MCAP metadata record that holds the provenance."""
-
 SCENARIO_KEY = "scenario"
-"""Key of the scenario's YAML text, in that record and in the bag's custom data."""
+"""Key of the scenario's YAML text in the bag's custom data."""
 
 LOST_KEY = "lost_messages"
 """Key of the number of lost messages in the custom data; followed by a topic, the number there."""

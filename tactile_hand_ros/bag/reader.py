@@ -9,14 +9,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import yaml
 from mcap.reader import make_reader
 from rosbags.highlevel import AnyReader
 from rosbags.interfaces import Connection
 from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_typestore
 
-from tactile_hand_ros.bag.metadata import FILE_NAME
-from tactile_hand_ros.bag.provenance import RECORD_NAME
+from tactile_hand_ros.bag.metadata import FILE_NAME, RECORD_KEY, RECORD_NAME
 from tactile_hand_ros.errors import BagError
 
 _BAGS = (".mcap", ".db3")
@@ -213,11 +213,12 @@ def _check_present(path: Path) -> None:
 
 
 def _custom_data(reader: AnyReader, path: Path) -> dict[str, str]:
-    """Return the origin of a bag; a single file has no metadata.yaml next to it."""
+    """Return the custom data of a bag; a single file has no metadata.yaml next to it."""
     parts = [part.storage for part in reader.readers if isinstance(part, Reader)]
     found = next((part.metadata.custom for part in parts if part.metadata.custom), {})
     if found or path.is_dir() or path.suffix != ".mcap":
         return found
     with path.open("rb") as file:
         inside = make_reader(file).iter_metadata()
-        return next((dict(each.metadata) for each in inside if each.name == RECORD_NAME), {})
+        texts = [each.metadata[RECORD_KEY] for each in inside if each.name == RECORD_NAME]
+    return yaml.safe_load(texts[-1]).get("custom_data") or {} if texts else {}

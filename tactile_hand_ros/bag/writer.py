@@ -27,11 +27,6 @@ from tactile_hand_ros.files import replace_text
 
 CHUNK_SIZE = 2**20  # bytes
 LIBRARY = "tactile_hand_ros"
-COMPRESSIONS = {
-    "none": CompressionType.NONE,
-    "lz4": CompressionType.LZ4,
-    "zstd": CompressionType.ZSTD,
-}
 
 
 @dataclass
@@ -60,13 +55,9 @@ class BagWriter:
         """Create folder and file.
 
         Raises:
-            BagError: If the folder exists, cannot be created, or the compression is unknown.
+            BagError: If the folder exists or cannot be created.
         """
         self.folder = Path(self.folder)
-        if self.compression not in COMPRESSIONS:
-            raise BagError(
-                f"Compression is '{self.compression}', expected one of {', '.join(COMPRESSIONS)}."
-            )
         _create(self.folder)
         self.path = self.folder / f"{self.folder.resolve().name}_0.mcap"
         self.is_open = True
@@ -79,7 +70,7 @@ class BagWriter:
         self._writer = Writer(
             self._file,
             chunk_size=self.chunk_size,
-            compression=COMPRESSIONS[self.compression],
+            compression=CompressionType[self.compression.upper()],
         )
         self._do(self._writer.start, "ros2", LIBRARY)
         self.add_metadata(RECORD_NAME, self.metadata().record())

@@ -94,8 +94,7 @@ def sweep(
     study = make_sweep(scenario, over or [], parse_changes(changes or []), runs=runs, seed=seed)
     check_writable(out)
     with workers(jobs, cluster), progress(scenario) as watch:
-        tally = keep(study, out, watch)
-    print(tally)
+        keep(study, out, watch)
     results = Results(study, read_table(out))
     page = write_summary(results, out)
     for columns, rows in summary_tables(results):

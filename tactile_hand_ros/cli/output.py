@@ -17,8 +17,6 @@ from tactile_hand_ros.errors import TactileHandError, counted
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from tactile_hand_ros.sweep.table import Tally
-
 EXIT_DIFFERS = 1
 """Exit code if recomputed results differ from the bag."""
 
@@ -112,11 +110,7 @@ def steps(title: str, total: int) -> Iterator[Callable[[str], None]]:
 
 
 @contextlib.contextmanager
-def progress(title: str) -> Iterator[Callable[[Tally], None]]:
-    """Show the progress of a study."""
+def progress(title: str) -> Iterator[Callable[[int, int], None]]:
+    """Show the progress of a study; yield a function to call with the finished and all runs."""
     with bar(title) as update:
-
-        def watch(tally: Tally) -> None:
-            update(completed=tally.done, total=tally.total, text=str(tally))
-
-        yield watch
+        yield lambda done, total: update(completed=done, total=total, text=f"{done} of {total}")

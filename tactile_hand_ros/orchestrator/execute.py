@@ -26,7 +26,7 @@ from tactile_hand_ros.orchestrator.run_directory import RunDirectory
 from tactile_hand_ros.orchestrator.session import Plan, RunOutcome, Session
 from tactile_hand_ros.orchestrator.steering import how_to_steer
 from tactile_hand_ros.ros.middleware import full_namespace, graph_node, ros_context
-from tactile_hand_ros.ros.scheduling import Scheduling, parse_priority
+from tactile_hand_ros.ros.scheduling import parse_priority
 from tactile_hand_ros.scenario.preflight import check_scenario
 from tactile_hand_ros.scenario.scenario import Scenario, load_scenario
 
@@ -51,8 +51,7 @@ def execute(
         TactileHandError: If the scenario was rejected; nothing was started.
         Interrupted: If a signal came before anything was started.
     """
-    scenario = _checked(options)
-    scheduling = Scheduling(parse_priority(str(options.priority)))
+    scenario, priority = _checked(options), parse_priority(str(options.priority))
     # The first compilation takes long; during a run the plant would miss its deadlines.
     ensure_compiled(signals.wait)
     plan = Plan(
@@ -62,7 +61,7 @@ def execute(
         interactive=options.interactive,
         composed=shares_process(scenario, options.composed),
         startup_timeout=options.startup_timeout,
-        scheduling=scheduling,
+        priority=priority,
     )
     output = LastingOutput()
     console = line_console(cast(IO[str], output), width=None if output.isatty() else _WIDTH)
@@ -121,20 +120,12 @@ def _conclude(
     from tactile_hand_ros.orchestrator import results
 
     show = functools.partial(console.print, soft_wrap=True)
-
-    def tell(line: str) -> None:
-        if not options.quiet:
-            show(line)
-
-    if plan.record:
-        tell("reading the bag")
     found = results.read_results(plan, directory, outcome)
     verdict = results.judge(plan, outcome, found, signal_code)
     results.write_summary(plan, directory, outcome, found, verdict)
     if found.run is not None:
         console.print(results.table(plan, outcome, found))
         if options.report:
-            tell("writing the report")
             show(results.report_line(found.run))
     show(f"{results.in_words(verdict, found)}; results: {directory.path}")
     with contextlib.suppress(OSError):  # the terminal may be gone

@@ -8,7 +8,6 @@ import math
 import time
 from typing import IO, Any
 
-import rich.progress
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
@@ -23,8 +22,7 @@ from tactile_hand_ros.names import CONTROLLER, PLANT, REGULATOR
 from tactile_hand_ros.ros.diagnostics import OK, STALE
 from tactile_hand_ros.ros.endpoints import subscribe_directly, take_latest, taken
 
-_BAR_PERIOD = 0.1  # s between updates of the bar
-_LINE_PERIOD = 2.0  # s between plain lines
+_LINE_PERIOD = 2.0  # s between two lines
 
 
 class Monitor:
@@ -101,43 +99,26 @@ def line_console(file: IO[str], **options: Any) -> Console:
 
 
 class View:
-    """Progress of a run: a bar on a terminal, lines elsewhere, updated every `period` [s]."""
+    """Progress of a run: a line every `period` [s], and each new fault."""
 
     def __init__(self, console: Console, duration: float | None, *, quiet: bool) -> None:
         """Prepare; `duration` is the simulated time of the run [s], None for an endless run."""
-        self._console, self._of = console, "" if duration is None else f"{duration:g}"
+        self._console, self._of = console, "" if duration is None else f" of {duration:g}"
         self._first: tuple[float, float] | None = None  # wall and simulated time, s
         self._fault = ""
-        has_bar = console.is_terminal and not console.is_dumb_terminal
-        self.period = math.inf if quiet else _BAR_PERIOD if has_bar else _LINE_PERIOD
-        self.bar = rich.progress.Progress(
-            rich.progress.TextColumn("{task.description}"),
-            rich.progress.BarColumn(bar_width=None),
-            rich.progress.TextColumn("{task.fields[facts]}", markup=False),
-            console=console,
-            auto_refresh=False,  # drawn by this thread; another one would take processor time
-            transient=True,
-            disable=quiet or not has_bar,
-        )
-        self._task = self.bar.add_task("", total=duration, facts="")
+        self.period = math.inf if quiet else _LINE_PERIOD
 
     def show(self, monitor: Monitor) -> None:
         """Show the progress of the run, and the first fault if it has changed."""
         if self.period == math.inf:
             return
         at = max(0.0, 1e-9 * monitor.tick)
-        facts = f"{monitor.in_words()}  {self._speed(at):.2f} x real time"
         fault = next(iter(monitor.faults()), "")
         if fault and fault != self._fault:
-            # In full, above the bar.
             self._console.print(f"t = {at:.2f} s  ! {fault}", soft_wrap=True)
         self._fault = fault
-        if self.bar.disable:
-            of = f" of {self._of}" if self._of else ""
-            self._console.print(f"t = {at:.2f}{of} s  {facts}", soft_wrap=True)
-            return
-        text = f"{at:6.2f}{' / ' if self._of else ''}{self._of} s"
-        self.bar.update(self._task, completed=at, description=text, facts=facts, refresh=True)
+        facts = f"{monitor.in_words()}  {self._speed(at):.2f} x real time"
+        self._console.print(f"t = {at:.2f}{self._of} s  {facts}", soft_wrap=True)
 
     def _speed(self, at: float) -> float:
         """Return simulated time per wall-clock time since the first tick or the last reset."""

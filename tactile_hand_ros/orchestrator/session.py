@@ -34,7 +34,7 @@ from tactile_hand_ros.orchestrator.processes import NodeDiedError, Processes
 from tactile_hand_ros.orchestrator.run_directory import RunDirectory
 from tactile_hand_ros.orchestrator.steering import Steering, SteeringError
 from tactile_hand_ros.ros.processes import wait_until
-from tactile_hand_ros.ros.scheduling import Scheduling
+from tactile_hand_ros.ros.scheduling import PRIORITY
 from tactile_hand_ros.scenario.scenario import NODES, Scenario
 
 # The recorder first, because it loads fast; then in order of decreasing loading time.
@@ -63,7 +63,7 @@ class StallError(TactileHandError):
 class Plan:
     """The plan of a run; see `RunOptions`.
 
-    Namespace ``/`` means none. The startup timeout is in s. The recorder ignores `scheduling`,
+    Namespace ``/`` means none. The startup timeout is in s. The recorder ignores `priority`,
     because it may be late.
     """
 
@@ -73,7 +73,7 @@ class Plan:
     interactive: bool = False
     composed: bool = False
     startup_timeout: float = 30.0
-    scheduling: Scheduling = Scheduling()
+    priority: int = 0
 
     @property
     def end(self) -> int | None:
@@ -150,7 +150,9 @@ class Session:
         for name in dict.fromkeys(map(self.plan.process, configs)):
             self.signals.check()
             own = [node for node in configs if self.plan.process(node) == name]
-            words = [] if name == RECORDER else list(self.plan.scheduling.arguments)
+            words = []
+            if self.plan.priority and name != RECORDER:
+                words += [PRIORITY, str(self.plan.priority)]
             words += [RECORD] if name == COMPOSED and RECORDER in own else []
             words += common
             for node in own:
@@ -234,22 +236,21 @@ class Session:
         """
         outcome, end = self.outcome, self.plan.end
         progress = due = time.monotonic()
-        with view.bar:
-            while end is None or outcome.last_tick < end:
-                self.signals.wait(_FIRST_LOOK if outcome.last_tick < 0 else _LOOK)
-                self._processes.check()
-                before, outcome.last_tick = outcome.last_tick, monitor.answered()
-                steering.send_forces(outcome.last_tick)
-                now = time.monotonic()
-                if before < 0 <= outcome.last_tick:
-                    outcome.first_tick = round(_process_age(), 3)
-                if before != outcome.last_tick:
-                    progress = now
-                elif now - progress > STALL:
-                    raise StallError(_stall(monitor))
-                if now >= due:
-                    due = now + view.period
-                    view.show(monitor)
+        while end is None or outcome.last_tick < end:
+            self.signals.wait(_FIRST_LOOK if outcome.last_tick < 0 else _LOOK)
+            self._processes.check()
+            before, outcome.last_tick = outcome.last_tick, monitor.answered()
+            steering.send_forces(outcome.last_tick)
+            now = time.monotonic()
+            if before < 0 <= outcome.last_tick:
+                outcome.first_tick = round(_process_age(), 3)
+            if before != outcome.last_tick:
+                progress = now
+            elif now - progress > STALL:
+                raise StallError(_stall(monitor))
+            if now >= due:
+                due = now + view.period
+                view.show(monitor)
 
     def _come_to_rest(self, steering: Steering, monitor: Monitor) -> None:
         """Pause and wait for the answers to the last tick, so that the bag has all of it."""

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped, WrenchStamped
-from numpy.typing import NDArray
 from rclpy.duration import Duration
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
@@ -22,6 +21,7 @@ from std_msgs.msg import Float64
 from std_srvs.srv import SetBool, Trigger
 
 from tactile_hand_ros import names
+from tactile_hand_ros.compiled import Array
 from tactile_hand_ros.errors import ConfigurationError, TactileHandError
 from tactile_hand_ros.ros import qos
 from tactile_hand_ros.ros.messages import PoseCodec, stamp_to_ns
@@ -36,7 +36,6 @@ from tactile_hand_ros.rotations import (
 if TYPE_CHECKING:
     from tactile_hand_ros.scenario.scenario import Scenario, TargetConfig
 
-Array = NDArray[np.float64]
 
 _SLICE = 0.02  # s
 _PATIENCE = 5.0  # s, longest wait for an answer to the orchestrator

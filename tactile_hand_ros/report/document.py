@@ -13,12 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_hand_ros.closed_loop.record import Record
+from tactile_hand_ros.compiled import Array
 from tactile_hand_ros.report import facts, model
 from tactile_hand_ros.run import derived
 from tactile_hand_ros.run.derived import gaps
 from tactile_hand_ros.run.result import RunData
 
-Array = NDArray[np.float64]
 Rows = NDArray[np.int64]
 
 MAX_BYTES = 2_900_000

@@ -8,7 +8,6 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tactile_hand_ros.config.hand_config import load_hand_config
 from tactile_hand_ros.errors import HandModelError, TactileHandError
@@ -102,8 +101,6 @@ def _owners(finger_names: Sequence[str], hand: dict[str, Any] | None) -> dict[in
     found.pop(-1, None)
     return found
 
-
-Array = NDArray[np.float64]
 
 _MOVING = {"revolute": "turn", "continuous": "turn", "prismatic": "slide"}
 

@@ -7,9 +7,9 @@ import math
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tactile_hand_ros.closed_loop.record import Record
+from tactile_hand_ros.compiled import Array
 from tactile_hand_ros.extras import optional
 from tactile_hand_ros.hand.hand import Hand
 from tactile_hand_ros.report.style import (
@@ -30,7 +30,6 @@ from tactile_hand_ros.simulation.solid import Solid
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-Array = NDArray[np.float64]
 
 # Lengths as fractions of the hand's reach.
 _ARROW = 0.2  # strongest force

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import enum
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -81,94 +81,97 @@ class Claim:
     verdict: ClaimVerdict
 
 
-def _verdict(holds: bool, partly: bool = False) -> ClaimVerdict:
-    return ClaimVerdict.HOLDS if holds else ClaimVerdict.PARTLY if partly else ClaimVerdict.FAILS
+Finding = tuple[str, bool, bool]
+"""What was measured, and whether the claim holds, or holds in part."""
+
+_claims: list[tuple[str, str, Callable[[Outcomes], Finding]]] = []
 
 
-def _position(outcomes: Outcomes) -> Claim:
+def _claim(source: str, statement: str) -> Callable[[Callable[[Outcomes], Finding]], None]:
+    """Mark the function that measures a claim of the paper."""
+    return lambda measure: _claims.append((source, statement, measure))
+
+
+def judge(outcomes: Outcomes) -> list[Claim]:
+    """Judge all claims, including Theorem 1 with (9), by the experiments of one layout."""
+    found = []
+    for source, statement, measure in _claims:
+        measured, holds, partly = measure(outcomes)
+        worse = ClaimVerdict.PARTLY if partly else ClaimVerdict.FAILS
+        found.append(Claim(source, statement, measured, ClaimVerdict.HOLDS if holds else worse))
+    return found
+
+
+@_claim("Fig. 3b, (15)", "The contact centroid converges to p_d.")
+def _position(outcomes: Outcomes) -> Finding:
     error = outcomes["optimal"].metrics.final_position_error_m
-    return Claim(
-        "Fig. 3b, (15)",
-        "The contact centroid converges to p_d.",
-        f"{_millimetres(error)} from p_d at the end",
-        _verdict(error < 1e-4, error < 1e-2),
-    )
+    measured = f"{_millimetres(error)} from p_d at the end"
+    return measured, error < 1e-4, error < 1e-2
 
 
-def _orientation(outcomes: Outcomes) -> Claim:
+@_claim("Fig. 3c, (15)", "The orientation error r_d converges to zero.")
+def _orientation(outcomes: Outcomes) -> Finding:
     run = outcomes["optimal"]
     error = run.metrics.final_rotation_error_rad
     peak = _largest(np.linalg.norm(derived.rotation_error(run.record), axis=1))
-    return Claim(
-        "Fig. 3c, (15)",
-        "The orientation error r_d converges to zero.",
-        f"|r_d| = {error:.1e} rad at the end, {peak:.3f} rad at most on the way",
-        _verdict(error < 1e-3, error < 1e-1),
-    )
+    measured = f"|r_d| = {error:.1e} rad at the end, {peak:.3f} rad at most on the way"
+    return measured, error < 1e-3, error < 1e-1
 
 
-def _rates(outcomes: Outcomes) -> Claim:
+@_claim("Fig. 3a", "The joint rates converge to zero.")
+def _rates(outcomes: Outcomes) -> Finding:
     record = outcomes["optimal"].record
     rates = np.abs(record.rates)
     tick, joint = np.unravel_index(int(np.nanargmax(rates)), rates.shape)
     peak, final = float(rates[tick, joint]), _largest(rates[-1])
-    return Claim(
-        "Fig. 3a",
-        "The joint rates converge to zero.",
+    measured = (
         f"{final:.1e} rad/s at the end; peak {peak:.3f} rad/s of {record.joint_names[joint]} at "
-        f"{record.times[tick]:.2f} s (the text gives no number to compare)",
-        _verdict(final < 1e-3, final < 0.1 * peak),
+        f"{record.times[tick]:.2f} s (the text gives no number to compare)"
     )
+    return measured, final < 1e-3, final < 0.1 * peak
 
 
-def _normal_forces(outcomes: Outcomes) -> Claim:
+@_claim("Fig. 3d, (15)", "Every normal force converges to k_f f*_n.")
+def _normal_forces(outcomes: Outcomes) -> Finding:
     m = outcomes["optimal"].metrics
     worst = m.worst_normal_force_relative_error
     pairs = zip(m.final_normal_forces_N.values(), m.optimal_normal_forces_N.values(), strict=True)
     listed = ", ".join(f"{f:.4f}/{e:.4f}" for f, e in pairs)
-    return Claim(
-        "Fig. 3d, (15)",
-        "Every normal force converges to k_f f*_n.",
-        f"f_n / k_f f*_n: {listed} N; worst error {100 * worst:.4f} %",
-        _verdict(worst < 1e-3, worst < 5e-2),
-    )
+    measured = f"f_n / k_f f*_n: {listed} N; worst error {100 * worst:.4f} %"
+    return measured, worst < 1e-3, worst < 5e-2
 
 
-def _sum(outcomes: Outcomes) -> Claim:
+@_claim("(13c), (15)", "The normal forces sum to k_f.")
+def _sum(outcomes: Outcomes) -> Finding:
     m = outcomes["optimal"].metrics
     error = m.normal_force_sum_relative_error
-    return Claim(
-        "(13c), (15)",
-        "The normal forces sum to k_f.",
+    measured = (
         f"{m.normal_force_sum_N:.5f} N for k_f = {m.final_grasp_force_N:g} N, "
-        f"{100 * error:.4f} % off",
-        _verdict(error < 1e-4, error < 1e-2),
+        f"{100 * error:.4f} % off"
     )
+    return measured, error < 1e-4, error < 1e-2
 
 
-def _in_motion(outcomes: Outcomes) -> Claim:
+@_claim("Sec. IV-A", "While the object moves, normal forces deviate from k_f f*_n.")
+def _in_motion(outcomes: Outcomes) -> Finding:
     run = outcomes["optimal"]
     apart = derived.contact_forces(run.record)[:, :, 1] - derived.expected_normal_forces(run.record)
     largest, final = _largest(np.abs(apart[1:])), _largest(np.abs(apart[-1:]))
-    return Claim(
-        "Sec. IV-A",
-        "While the object moves, normal forces deviate from k_f f*_n.",
-        f"by up to {largest:.3f} N in motion, {final:.1e} N at the end",
-        _verdict(largest > 10.0 * final),
-    )
+    measured = f"by up to {largest:.3f} N in motion, {final:.1e} N at the end"
+    return measured, largest > 10.0 * final, False
 
 
-def _grasp_kept(outcomes: Outcomes) -> Claim:
+@_claim("Sec. IV", "With k_f = 10 and without the relative attitude term, (14) loses no contact.")
+def _grasp_kept(outcomes: Outcomes) -> Finding:
     m = outcomes["optimal"].metrics
-    return Claim(
-        "Sec. IV",
-        "With k_f = 10 and without the relative attitude term, (14) loses no contact.",
-        f"{m.contacts_lost_ticks} of {m.ticks} ticks without one of the contacts",
-        _verdict(m.contacts_lost_ticks == 0),
-    )
+    measured = f"{m.contacts_lost_ticks} of {m.ticks} ticks without one of the contacts"
+    return measured, m.contacts_lost_ticks == 0, False
 
 
-def _friction(outcomes: Outcomes) -> Claim:
+@_claim(
+    "Fig. 4, Sec. III", "Penalising tangential forces reduces the friction that each contact needs."
+)
+def _friction(outcomes: Outcomes) -> Finding:
     penalised = outcomes["optimal"].metrics.final_required_friction
     nominal = outcomes["nominal"].metrics.final_required_friction
     less = [penalised[name] < nominal[name] for name in penalised]
@@ -177,57 +180,53 @@ def _friction(outcomes: Outcomes) -> Claim:
         f"{name.replace('_', ' ')} {nominal[name]:.3f} -> {penalised[name]:.3f}"
         for name in penalised
     )
-    return Claim(
-        "Fig. 4, Sec. III",
-        "Penalising tangential forces reduces the friction that each contact needs.",
+    measured = (
         f"beta, nominal -> penalised: {listed}; the grasp as a whole needs "
-        f"{worst[1]:.3f} -> {worst[0]:.3f}",
-        _verdict(all(less), any(less)),
+        f"{worst[1]:.3f} -> {worst[0]:.3f}"
     )
+    return measured, all(less), any(less)
 
 
-def _internal_force(outcomes: Outcomes) -> Claim:
+@_claim("(13b)", "f* has no effect on the motion: W and k_f change forces only.")
+def _internal_force(outcomes: Outcomes) -> Finding:
     names = {"nominal": "W = I", "firm": "twice k_f", "contact": "(10) for (14)"}
     apart = {key: _apart(outcomes["optimal"], outcomes[key]) for key in names}
     listed = ", ".join(f"{1e6 * apart[key]:.2f} um with {name}" for key, name in names.items())
-    return Claim(
-        "(13b)",
-        "f* has no effect on the motion: W and k_f change forces only.",
-        f"the centroid's path differs by at most {listed}",
-        _verdict(max(apart.values()) < 1e-5, max(apart.values()) < 1e-3),
-    )
+    measured = f"the centroid's path differs by at most {listed}"
+    return measured, max(apart.values()) < 1e-5, max(apart.values()) < 1e-3
 
 
-def _rolling(outcomes: Outcomes) -> Claim:
+@_claim(
+    "Sec. III", "Squeezing through fingertips, (8), induces rolling; through contacts it does not."
+)
+def _rolling(outcomes: Outcomes) -> Finding:
     keys = {"hold_kawamura": "(8)", "hold_contact": "(10)", "hold_optimal": "(14)"}
     rolled = {key: _largest(_until_loss(outcomes[key])) for key in keys}
     listed = ", ".join(f"{name} {_millimetres(rolled[key])}" for key, name in keys.items())
     end = _loss(outcomes["hold_kawamura"].metrics.first_contact_loss_s)
     induced = rolled["hold_kawamura"] > 1e-2
     still = max(rolled["hold_contact"], rolled["hold_optimal"]) < 1e-4
-    return Claim(
-        "Sec. III",
-        "Squeezing through fingertips, (8), induces rolling; through contacts it does not.",
-        f"held where it is, contacts roll over the object by {listed}; under (8) {end}",
-        _verdict(induced and still, induced or still),
-    )
+    measured = f"held where it is, contacts roll over the object by {listed}; under (8) {end}"
+    return measured, induced and still, induced or still
 
 
-def _kawamura(outcomes: Outcomes) -> Claim:
+@_claim(
+    "Theorem 1, (9)", "Law (8) with Table I's gains reaches p_d (k_st = 0, as Table I prints none)."
+)
+def _kawamura(outcomes: Outcomes) -> Finding:
     m = outcomes["kawamura"].metrics
     end = _loss(m.first_contact_loss_s)
     lost = m.contacts_lost_ticks > 0
     error = m.final_position_error_m
     there = "" if math.isnan(error) else f", {_millimetres(error)} from p_d at the end"
-    return Claim(
-        "Theorem 1, (9)",
-        "Law (8) with Table I's gains reaches p_d (k_st = 0, as Table I prints none).",
-        f"{end}{there}; joint rates up to {m.peak_joint_rate_rad_per_s:.1f} rad/s",
-        _verdict(not lost and error < 1e-3, not lost and error < 1e-2),
-    )
+    measured = f"{end}{there}; joint rates up to {m.peak_joint_rate_rad_per_s:.1f} rad/s"
+    return measured, not lost and error < 1e-3, not lost and error < 1e-2
 
 
-def _stiffness(outcomes: Outcomes) -> Claim:
+@_claim(
+    "below (10)", "K_p is formed from the gains of (8): the same k_p pulls alike in (8) and (14)."
+)
+def _stiffness(outcomes: Outcomes) -> Finding:
     eight, fourteen = outcomes["kawamura"].scenario, outcomes["optimal"].scenario
     gain = fourteen.manipulation_controller.law.k_p
     fingers = len(outcomes["optimal"].record.finger_names)
@@ -236,45 +235,22 @@ def _stiffness(outcomes: Outcomes) -> Claim:
         for of in ((eight, "tips"), (eight, "contacts"), (fourteen, "contacts"))
     )
     listed = ", ".join(f"{value:.2f}" for value in contacts)
-    return Claim(
-        "below (10)",
-        "K_p is formed from the gains of (8): the same k_p pulls alike in (8) and (14).",
+    measured = (
         f"(8) pulls with {tips.mean():.2f} N/m at the tips ({fingers} times k_p) and {listed} N/m "
-        f"(x, y, z) at the contacts, (14) with {other.mean():.2f} N/m",
-        _verdict(bool(np.allclose(contacts, gain, rtol=0.01))),
+        f"(x, y, z) at the contacts, (14) with {other.mean():.2f} N/m"
     )
+    return measured, bool(np.allclose(contacts, gain, rtol=0.01)), False
 
 
-def _true_orientation(outcomes: Outcomes) -> Claim:
+@_claim("Sec. II, (7)", "Moving the virtual frame to its target moves the object there.")
+def _true_orientation(outcomes: Outcomes) -> Finding:
     turned = outcomes["optimal"].metrics.max_object_rotation_in_grasp_rad
     moved = outcomes["optimal"].metrics.max_object_displacement_in_grasp_m
-    return Claim(
-        "Sec. II, (7)",
-        "Moving the virtual frame to its target moves the object there.",
+    measured = (
         f"the cube itself turns up to {math.degrees(turned):.1f} deg and shifts up to "
-        f"{_millimetres(moved)} against the virtual frame, because the tips roll on it",
-        _verdict(turned < 0.01 and moved < 1e-3, turned < 0.5),
+        f"{_millimetres(moved)} against the virtual frame, because the tips roll on it"
     )
-
-
-def judge(outcomes: Outcomes) -> list[Claim]:
-    """Judge all claims, including Theorem 1 with (9), by the experiments of one layout."""
-    judges = (
-        _position,
-        _orientation,
-        _rates,
-        _normal_forces,
-        _sum,
-        _in_motion,
-        _grasp_kept,
-        _friction,
-        _internal_force,
-        _rolling,
-        _kawamura,
-        _stiffness,
-        _true_orientation,
-    )
-    return [each(outcomes) for each in judges]
+    return measured, turned < 0.01 and moved < 1e-3, turned < 0.5
 
 
 def translational_stiffness(scenario: Scenario, at: str = "tips") -> Array:

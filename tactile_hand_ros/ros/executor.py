@@ -2,19 +2,18 @@
 """Executor of the nodes: it builds its wait sets once and takes messages directly.
 
 At every wake-up, the standard executors of rclpy build a new wait set and a coroutine per callback.
-That costs more than handling the message. `WaitSetExecutor` keeps its wait set and calls
-subscriptions, timers and guard conditions directly. Services and clients have a second wait set,
-checked every `RARE_PERIOD_NS`. The inherited, public `SingleThreadedExecutor` serves them, and the
-QoS events of each node every `EVENT_PERIOD_NS`. Callbacks are plain functions: coroutines are not
-awaited.
+That costs more than handling the message. `WaitSetExecutor` keeps its wait sets and calls back
+directly. Subscriptions, timers and guard conditions are in the one that it waits for. Services and
+clients are looked at every `RARE_PERIOD_NS`, QoS events every `EVENT_PERIOD_NS`. Callbacks are
+plain functions: coroutines are not awaited, and tasks of `create_task` are not run.
 
 Private parts of rclpy (Jazzy) in use:
 
 * ``rclpy.impl.implementation_singleton.rclpy_implementation.WaitSet``: the wait set itself.
-* ``take_message``, ``call_timer`` and ``is_timer_ready`` of the objects behind the public
-  ``handle`` of subscriptions and timers.
+* ``take_message``, ``call_timer``, ``is_timer_ready``, ``service_take_request`` and
+  ``take_response`` of the objects behind the public ``handle`` of an entity.
 * ``Subscription._callback_type``: whether a callback also takes the message info.
-* ``Executor._take_service``, ``_guard``, ``_sigint_gc`` and ``_is_shutdown`` of the base class.
+* ``Executor._guard``, ``_sigint_gc`` and ``_is_shutdown`` of the base class.
 
 A node with work to do between messages has a method `work`, which returns whether there is more to
 do. The executor calls it repeatedly and does not block meanwhile.
@@ -27,25 +26,18 @@ from __future__ import annotations
 
 import time
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, suppress
+from functools import partial
 from typing import Any
 
 from rclpy.context import Context
 from rclpy.exceptions import InvalidHandle
-from rclpy.executors import (
-    Executor,
-    ExternalShutdownException,
-    ShutdownException,
-    SingleThreadedExecutor,
-    TimeoutException,
-)
-from rclpy.guard_condition import GuardCondition
+from rclpy.executors import Executor
 from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
 from rclpy.node import Node
 from rclpy.service import Service
 from rclpy.subscription import Subscription
-from rclpy.timer import Timer
 
 from tactile_hand_ros.errors import MessageError
 
@@ -56,9 +48,10 @@ RARE_PERIOD_NS = 50_000_000
 """Maximum wait of a service request [ns]."""
 
 EVENT_PERIOD_NS = 1_000_000_000
-"""Maximum wait of a QoS event [ns]; checking one node costs 0.3 ms."""
+"""Maximum wait of a QoS event [ns]; a hand has a hundred that can occur."""
 
 _KINDS = ("subscription", "guard_condition", "timer", "client", "service")
+_EVENT = "event"
 
 
 def spin(nodes: Node | Sequence[Node], executor: Executor | None = None) -> None:
@@ -73,8 +66,6 @@ def spin(nodes: Node | Sequence[Node], executor: Executor | None = None) -> None
         chosen.add_node(node)
     try:
         chosen.spin()
-    except ExternalShutdownException:
-        pass
     finally:
         for node in listed:
             chosen.remove_node(node)
@@ -87,19 +78,26 @@ class _WaitSet:
     def __init__(
         self, entities: Mapping[str, Iterable[Any]], context: Context, stack: ExitStack
     ) -> None:
-        """Collect the entities, by kind; `stack` keeps their handles in use until it closes."""
+        """Collect the entities, by kind; `stack` keeps them in use until it closes."""
         self._known: dict[int, Any] = {}
+        self._events: list[Any] = []
         held: list[tuple[str, Any]] = []
         stack.enter_context(context.handle)
         for kind, each in ((kind, each) for kind, some in entities.items() for each in some):
             with suppress(InvalidHandle):  # destroyed by another thread in the meantime
+                if kind == _EVENT:
+                    stack.enter_context(each)
+                    self._events.append(each)
+                    continue
                 stack.enter_context(each.handle)
                 self._known[each.handle.pointer] = each
                 held.append((kind, each.handle))
         count = Counter(kind for kind, _ in held)
-        self._native = _rclpy.WaitSet(*(count[kind] for kind in _KINDS), 0, context.handle)
+        sizes = (count[kind] for kind in _KINDS)
+        self._native = _rclpy.WaitSet(*sizes, len(self._events), context.handle)
         stack.enter_context(self._native)
         self._adding = [(getattr(self._native, f"add_{kind}"), handle) for kind, handle in held]
+        self._adding += [(event.add_to_wait_set, self._native) for event in self._events]
 
     def wait(self, limit_ns: int) -> None:
         """Wait until an entity is ready, or until the limit [ns]."""
@@ -110,11 +108,13 @@ class _WaitSet:
 
     def ready(self, kind: str) -> list[Any]:
         """Return the entities of a kind that the last wait found ready."""
+        if kind == _EVENT:
+            return [event for event in self._events if event.is_ready(self._native)]
         return [self._known[at] for at in self._native.get_ready_entities(kind)]
 
 
-class WaitSetExecutor(SingleThreadedExecutor):
-    """A single-threaded executor that keeps its wait set.
+class WaitSetExecutor(Executor):
+    """A single-threaded executor that keeps its wait sets.
 
     Not for use from several threads, except `wake` and `shutdown`.
     """
@@ -125,8 +125,7 @@ class WaitSetExecutor(SingleThreadedExecutor):
     def __init__(self, *, context: Context | None = None) -> None:
         """Create the executor for a context, by default the global one."""
         self._stale = True
-        self._spins = False
-        self._rare_due = self._events_due = self._turn = 0
+        self._rare_due = self._events_due = 0
         self._afterwards: list[Callable[[], None]] = []
         super().__init__(context=context)
 
@@ -149,37 +148,39 @@ class WaitSetExecutor(SingleThreadedExecutor):
         """Call back once, after all waiting messages have been handled."""
         self._afterwards.append(callback)
 
-    def can_execute(self, entity: Any) -> bool:
-        """Return whether the public executor serves an entity: during `spin`, only rare ones."""
-        is_frequent = isinstance(entity, Subscription | Timer | GuardCondition)
-        return not (self._spins and is_frequent) and bool(super().can_execute(entity))
-
     def spin(self) -> None:
         """Execute callbacks until the context or the executor is shut down."""
         while self._is_running():
             with ExitStack() as stack:
-                frequent, rare = self._wait_sets(stack)
+                frequent, rare, events = self._wait_sets(stack)
                 works = [node.work for node in self.get_nodes() if hasattr(node, "work")]
                 is_busy = bool(works)
                 while not self._stale:
                     self._step(frequent, 0 if is_busy else RARE_PERIOD_NS)
-                    self._look_for_rare(rare)
+                    self._look_for_rare(rare, events)
                     is_busy = any([work() for work in works])
 
-    def _wait_sets(self, stack: ExitStack) -> tuple[_WaitSet, _WaitSet]:
-        """Return the wait sets of directly called entities and of services and clients."""
-        self._stale, self._spins = False, False
-        nodes = self.get_nodes()
+    def spin_once(self, timeout_sec: float | None = None) -> None:
+        """Wait once, by default without a limit, and serve all that is ready."""
+        self._rare_due = self._events_due = 0
+        with ExitStack() as stack:
+            frequent, rare, events = self._wait_sets(stack)
+            self._step(frequent, -1 if timeout_sec is None else round(1e9 * timeout_sec))
+            self._look_for_rare(rare, events)
+
+    def _wait_sets(self, stack: ExitStack) -> list[_WaitSet]:
+        """Return the wait sets of frequent entities, of services and clients, and of events."""
+        self._stale, nodes, context = False, self.get_nodes(), self._context
         guards = [self._guard, self._sigint_gc, *(g for node in nodes for g in node.guards)]
         own = [s for node in nodes for s in node.subscriptions if self.can_execute(s)]
         timers = [timer for node in nodes for timer in node.timers]
-        self._spins = True
         frequent = {"subscription": own, "timer": timers, "guard_condition": guards}
         rare = {
             "client": [client for node in nodes for client in node.clients],
             "service": [service for node in nodes for service in node.services],
         }
-        return _WaitSet(frequent, self._context, stack), _WaitSet(rare, self._context, stack)
+        events = {_EVENT: [e for node in nodes for e in node.waitables if self.can_execute(e)]}
+        return [_WaitSet(each, context, stack) for each in (frequent, rare, events)]
 
     def _step(self, waiting: _WaitSet, limit_ns: int) -> None:
         """Wait once, up to a limit [ns], and serve every entity that is ready."""
@@ -197,85 +198,68 @@ class WaitSetExecutor(SingleThreadedExecutor):
                 timer.callback()
         for subscription in waiting.ready("subscription"):
             self._drain(subscription)
-        self._call_afterwards()
-
-    def _look_for_rare(self, rare: _WaitSet) -> None:
-        """Serve services and clients, and the QoS events of one node per turn, when due."""
-        now = time.monotonic_ns()
-        if now < self._rare_due or self._stale:
-            return
-        self._rare_due, nodes = now + RARE_PERIOD_NS, self.get_nodes()
-        if not nodes:  # a callback has shut the executor down
-            return
-        rare.wait(0)
-        if not rare.ready("service") and not rare.ready("client"):
-            if now < self._events_due:
-                return
-            self._events_due = now + EVENT_PERIOD_NS // len(nodes)
-            self._turn += 1
-            nodes = [nodes[self._turn % len(nodes)]]
-        while self._is_running() and self._serve(0.0, nodes):
-            pass
-        if not self._is_running():  # the shutdown may have woken the public executor instead
-            self._stale = True
-
-    def _call_afterwards(self) -> None:
         if self._afterwards:
             callbacks, self._afterwards = self._afterwards, []
             for callback in callbacks:
                 callback()
 
+    def _look_for_rare(self, rare: _WaitSet, events: _WaitSet) -> None:
+        """Serve services, clients and QoS events when due."""
+        now = time.monotonic_ns()
+        if now < self._rare_due or self._stale:
+            return
+        self._rare_due = now + RARE_PERIOD_NS
+        rare.wait(0)
+        for service in rare.ready("service"):
+            self._serve(service)
+        for client in rare.ready("client"):
+            take = partial(client.handle.take_response, client.srv_type.Response)
+            for header, response in self._taken(client, client.srv_name, take):
+                with suppress(KeyError):  # the request was cancelled
+                    number = header.request_id.sequence_number
+                    client.get_pending_request(number).set_result(response)
+        if now >= self._events_due and not self._stale:
+            self._events_due = now + EVENT_PERIOD_NS
+            events.wait(0)
+            for handler in events.ready(_EVENT):
+                handler.callback(handler.take_data())
+
     def _drain(self, subscription: Subscription) -> None:
-        take, kind, raw = subscription.handle.take_message, subscription.msg_type, subscription.raw
+        kind, raw = subscription.msg_type, subscription.raw
         wanted = 1 if subscription._callback_type is Subscription.CallbackType.MessageOnly else 2
+        take = partial(subscription.handle.take_message, kind, raw)
+        for item in self._taken(subscription, subscription.topic_name, take):
+            subscription.callback(*item[:wanted])
+
+    def _serve(self, service: Service) -> None:
+        kind = service.srv_type
+        take = partial(service.handle.service_take_request, kind.Request)
+        for request, header in self._taken(service, service.srv_name, take):
+            try:
+                service.send_response(service.callback(request, kind.Response()), header)
+            except Exception as error:
+                self._survive("services", error)
+
+    def _taken(self, entity: Any, name: str, take: Callable[[], Any]) -> Iterator[Any]:
+        """Yield what waits at an entity; report bytes that cannot be read to its node."""
         for _ in range(_BURST):
             # A subscription that a callback destroyed must not see another message.
             try:
-                item = None if self._stale else take(kind, raw)
-            except Exception as error:  # the bytes are not a valid message
-                self._reject(subscription, subscription.topic_name, error)
+                item = None if self._stale else take()
+            except Exception as error:
+                nodes = self.get_nodes()
+                ends = ((n, (*n.subscriptions, *n.services, *n.clients)) for n in nodes)
+                text = f"its bytes cannot be read ({type(error).__name__})."
+                self._survive(
+                    name, MessageError(text), [node for node, has in ends if entity in has]
+                )
                 continue
-            if item is None:
+            if item is None or item[1] is None:
                 return
-            subscription.callback(*item[:wanted])
+            yield item
 
     def _is_running(self) -> bool:
         return bool(self._context.ok()) and not self._is_shutdown
-
-    def spin_once(self, timeout_sec: float | None = None) -> None:
-        """Serve one entity, as the public executor does."""
-        self._serve(timeout_sec)
-        self._call_afterwards()
-
-    def _serve(self, timeout_sec: float | None, nodes: list[Node] | None = None) -> bool:
-        """Serve one ready entity with the public executor; return whether there was one."""
-        try:
-            task, *_ = self.wait_for_ready_callbacks(timeout_sec, nodes)
-            task()
-            task.result()  # re-raises the callback's exception
-        except (TimeoutException, ShutdownException):
-            return False
-        except ExternalShutdownException:
-            raise
-        except Exception as error:
-            self._survive("services", error)
-        return True
-
-    # rclpy raises while it takes a request with damaged bytes. That would leave the service and its
-    # callback group locked forever.
-    def _take_service(self, srv: Service) -> Any:
-        try:
-            return super()._take_service(srv)
-        except Exception as error:
-            self._reject(srv, srv.srv_name, error)
-            return None
-
-    def _reject(self, entity: Service | Subscription, name: str, error: Exception) -> None:
-        """Report unreadable bytes to the owner of the entity."""
-        nodes = self.get_nodes()
-        owners = [node for node in nodes if entity in (*node.services, *node.subscriptions)]
-        text = f"its bytes cannot be read ({type(error).__name__})."
-        self._survive(name, MessageError(text), owners)
 
     def _survive(self, source: str, error: Exception, nodes: Sequence[Node] = ()) -> None:
         """Pass an error to the nodes that it concerns, or to all nodes if that is unknown."""

@@ -97,19 +97,18 @@ class TickPublisher:
     def publish(self, *values: Any) -> None:
         """Publish a message with these values; encode it only for a subscriber or tap."""
         self._last = values
-        if self.wanted:
-            self._send(self._encode(*values))
+        if not (self._is_read or self._taps):
+            return
+        data = self._encode(*values)
+        for tap in self._taps:
+            tap(data)
+        if self._is_read:
+            self._publisher.publish(data)
 
     def repeat(self) -> None:
         """Publish the last message again, also to new subscribers."""
         if self._last is not None:
             self.publish(*self._last)
-
-    def _send(self, data: bytes) -> None:
-        for tap in self._taps:
-            tap(data)
-        if self._is_read:
-            self._publisher.publish(data)
 
 
 class TactileNode(Node, Generic[C]):

@@ -42,11 +42,6 @@ def executable_directory() -> Path:
     return Path(prefix) / "lib" / PACKAGE
 
 
-def executable_names() -> list[str]:
-    """Return the names that ``ros2 run tactile_hand_ros`` offers, sorted."""
-    return sorted(path.name for path in executable_directory().iterdir() if _runs(path))
-
-
 def executable_path(name: str) -> Path:
     """Return the file that ``ros2 run tactile_hand_ros <name>`` starts.
 
@@ -54,9 +49,8 @@ def executable_path(name: str) -> Path:
         ExecutableError: If there is no such executable.
     """
     path = executable_directory() / name
-    if not name or Path(name).name != name or not _runs(path):
-        known = ", ".join(executable_names())
-        raise ExecutableError(f"There is no executable '{name}'; choose one of {known}.")
+    if not (path.is_file() and os.access(path, os.X_OK)):
+        raise ExecutableError(f"There is no executable {path}; build and install the package anew.")
     return path
 
 
@@ -70,10 +64,6 @@ def child_environment() -> dict[str, str]:
     inherited = environment.get("PATH", os.defpath)
     environment["PATH"] = os.pathsep.join([str(Path(sys.prefix, "bin")), inherited])
     return environment
-
-
-def _runs(path: Path) -> bool:
-    return path.is_file() and os.access(path, os.X_OK)
 
 
 _POLL_SECONDS = 0.002

@@ -20,7 +20,7 @@ from rclpy.utilities import remove_ros_args
 from tactile_hand_ros.errors import ConfigurationError, TactileHandError
 from tactile_hand_ros.ros.executor import spin
 from tactile_hand_ros.ros.middleware import use_sockets
-from tactile_hand_ros.ros.scheduling import USAGE, Scheduling, take_scheduling
+from tactile_hand_ros.ros.scheduling import USAGE, raise_priority, take_priority
 
 EXIT_OK = 0
 EXIT_FAILED = 1
@@ -56,7 +56,7 @@ def run_nodes(
     _let_signals_shut_down()
     nodes: list[Node] = []
     try:
-        scheduling = _init(line, described)
+        priority = _init(line, described)
         for node in make():
             nodes.append(node)
         if not _was_signalled:
@@ -64,14 +64,14 @@ def run_nodes(
                 node.get_logger().info("ready")
     except BaseException as error:  # after any failure, destroy the nodes created so far
         return _stop(nodes, _code_of(error, EXIT_REFUSED))
-    return _stop(nodes, _serve(nodes, scheduling))
+    return _stop(nodes, _serve(nodes, priority))
 
 
-def _serve(nodes: Sequence[Node], scheduling: Scheduling) -> int:
+def _serve(nodes: Sequence[Node], priority: int) -> int:
     gc.freeze()  # existing objects live as long as the process
     gc.enable()
     try:
-        scheduling.raise_priority()
+        raise_priority(priority)
         spin(nodes)
     except BaseException as error:
         return _code_of(error, EXIT_FAILED)
@@ -130,15 +130,15 @@ def _note_signal(number: int, frame: FrameType | None) -> None:
     _was_signalled = True
 
 
-def _init(line: list[str], described: Sequence[Callable[..., Any]]) -> Scheduling:
-    """Initialize rclpy and return the requested scheduling.
+def _init(line: list[str], described: Sequence[Callable[..., Any]]) -> int:
+    """Initialize rclpy and return the requested priority.
 
     Raises:
         ConfigurationError: If the command line or a parameter file is invalid.
     """
     use_sockets()
     try:
-        scheduling, extra = take_scheduling(remove_ros_args(args=line)[1:])
+        priority, extra = take_priority(remove_ros_args(args=line)[1:])
         rclpy.init(args=line)
         if _was_signalled:  # before rclpy handles signals
             raise KeyboardInterrupt
@@ -153,7 +153,7 @@ def _init(line: list[str], described: Sequence[Callable[..., Any]]) -> Schedulin
             f"unknown argument '{extra[0]}', expected {USAGE} or ROS arguments"
             " such as --ros-args -p name:=value or --params-file FILE."
         )
-    return scheduling
+    return priority
 
 
 def _help(described: Sequence[Callable[..., Any]]) -> str:

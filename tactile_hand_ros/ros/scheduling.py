@@ -10,7 +10,6 @@ from __future__ import annotations
 import contextlib
 import os
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 from tactile_hand_ros.errors import ConfigurationError
@@ -31,36 +30,22 @@ _RESENDING = "dds.asyn"
 _refusals: list[str] = []
 
 
-@dataclass(frozen=True)
-class Scheduling:
-    """The requested scheduling.
+def raise_priority(priority: int) -> None:
+    """Put all existing threads under SCHED_FIFO with a priority, unless it is 0.
 
-    Attributes:
-        priority: Priority among SCHED_FIFO processes, 1 to 99; 0 leaves the policy unchanged.
+    Call it when all nodes have been created. Earlier, the startup work and any child process would
+    block other processes.
     """
-
-    priority: int = 0
-
-    @property
-    def arguments(self) -> list[str]:
-        """The command-line arguments that request it from an executable."""
-        return [PRIORITY, str(self.priority)] if self.priority else []
-
-    def raise_priority(self) -> None:
-        """Set the priority of all existing threads; call it when all nodes have been created.
-
-        Earlier, the startup work and any child process would block other processes.
-        """
-        _refusals.clear()
-        if not self.priority:
-            return
-        try:
-            for thread in _threads():
-                os.sched_setscheduler(thread, os.SCHED_FIFO, os.sched_param(self.priority))
-        except OSError as error:
-            advice = "run as root, or allow rtprio in limits.conf"
-            _refusals.append(f"{PRIORITY} {self.priority} was refused ({error.strerror}): {advice}")
-        yield_while_resending()
+    _refusals.clear()
+    if not priority:
+        return
+    try:
+        for thread in _threads():
+            os.sched_setscheduler(thread, os.SCHED_FIFO, os.sched_param(priority))
+    except OSError as error:
+        advice = "run as root, or allow rtprio in limits.conf"
+        _refusals.append(f"{PRIORITY} {priority} was refused ({error.strerror}): {advice}")
+    yield_while_resending()
 
 
 def yield_while_resending() -> None:
@@ -76,8 +61,8 @@ def yield_while_resending() -> None:
                 os.sched_setscheduler(thread, os.SCHED_FIFO, os.sched_param(1))
 
 
-def take_scheduling(words: Sequence[str]) -> tuple[Scheduling, list[str]]:
-    """Parse the option; return the scheduling and the other arguments.
+def take_priority(words: Sequence[str]) -> tuple[int, list[str]]:
+    """Parse the option; return the priority, 0 without it, and the other arguments.
 
     Raises:
         ConfigurationError: If the value is missing or not allowed.
@@ -90,7 +75,7 @@ def take_scheduling(words: Sequence[str]) -> tuple[Scheduling, list[str]]:
             text = value if equals else next(rest, "")
         else:
             left.append(word)
-    return Scheduling(parse_priority(text)), left
+    return parse_priority(text), left
 
 
 def parse_priority(text: str) -> int:

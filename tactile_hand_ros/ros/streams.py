@@ -7,15 +7,12 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
 from geometry_msgs.msg import PoseArray, WrenchStamped
-from numpy.typing import NDArray
 from sensor_msgs.msg import Imu, JointState
 
 from tactile_hand_ros import names
 from tactile_hand_ros.ros.messages import ContactsCodec, ImuCodec, JointCodec, WrenchCodec
 
-Array = NDArray[np.float64]
 Decode = Callable[[bytes], tuple[int, Any]]
 """Function from the bytes of a message to its tick [ns] and value; raises MessageError."""
 

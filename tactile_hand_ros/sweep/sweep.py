@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -21,7 +21,16 @@ from tactile_hand_ros.scenario.scenario import Scenario, load_scenario, plain
 from tactile_hand_ros.sweep.engine import LOST, MISSED, REACHED, Point, Study
 from tactile_hand_ros.sweep.space import Choice, parse_parameter
 
-Measure = Callable[[Record, Scenario, Metrics], float]
+METRICS = (
+    "max_slip_distance_m",
+    "final_position_error_m",
+    "final_true_position_error_m",
+    "final_rotation_error_rad",
+    "peak_normal_force_N",
+    "least_friction_margin",
+    "settling_time_s",
+)
+"""The metric columns of a sweep: those of `Metrics` and of this module."""
 
 
 def outcome(record: Record, metrics: Metrics) -> str:
@@ -31,19 +40,17 @@ def outcome(record: Record, metrics: Metrics) -> str:
     return REACHED if metrics.goal_reached else MISSED
 
 
-def true_position_error(record: Record, scenario: Scenario, metrics: Metrics) -> float:
+def true_position_error(record: Record) -> float:
     """Return the final distance of the true contact centroid from p_d, m."""
-    del scenario, metrics
     apart = record.desired_position[-1] - record.true_positions[-1].mean(axis=0)
     return float(np.linalg.norm(apart))
 
 
-def friction_margin(record: Record, scenario: Scenario, metrics: Metrics) -> float:
+def friction_margin(record: Record, scenario: Scenario) -> float:
     """Return the minimum 1 - beta / mu of any contact after the start, with the true forces and mu.
 
     It is 1 without tangential force and 0 for a contact that is about to slip.
     """
-    del metrics
     friction = np.full(len(record), scenario.plant.object.friction)
     for change in sorted(scenario.plant.friction_changes, key=lambda change: change.start):
         friction[record.times > change.start] = change.friction
@@ -54,22 +61,6 @@ def friction_margin(record: Record, scenario: Scenario, metrics: Metrics) -> flo
         margins = 1.0 - beta / friction[:, None]
     minimum = float(np.fmin.reduce(margins, axis=None, initial=math.nan))
     return minimum if math.isfinite(minimum) else math.nan
-
-
-def _of(name: str) -> Measure:
-    return lambda record, scenario, metrics: float(getattr(metrics, name))
-
-
-METRICS: Mapping[str, Measure] = {
-    "max_slip_distance_m": _of("max_slip_distance_m"),
-    "final_position_error_m": _of("final_position_error_m"),
-    "final_true_position_error_m": true_position_error,
-    "final_rotation_error_rad": _of("final_rotation_error_rad"),
-    "peak_normal_force_N": _of("peak_normal_force_N"),
-    "least_friction_margin": friction_margin,
-    "settling_time_s": _of("settling_time_s"),
-}
-"""The metric columns of a sweep."""
 
 
 @dataclass(frozen=True)
@@ -84,8 +75,12 @@ class ScenarioRun:
         take_law(scenario.manipulation_controller.law)  # named by the user of the sweep
         record = ClosedLoop(scenario).run()
         found = metrics(record, scenario)
-        numbers = {name: m(record, scenario, found) for name, m in METRICS.items()}
-        return {**numbers, "outcome": outcome(record, found)}
+        numbers = {
+            **vars(found),
+            "final_true_position_error_m": true_position_error(record),
+            "least_friction_margin": friction_margin(record, scenario),
+        }
+        return {**{name: numbers[name] for name in METRICS}, "outcome": outcome(record, found)}
 
     def scenario_of(self, point: Point) -> Scenario:
         """Return the scenario of a run; raise ConfigurationError if a value is rejected."""

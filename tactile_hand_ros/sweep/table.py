@@ -11,9 +11,8 @@ import csv
 import io
 import json
 import math
-from collections import Counter
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass, field, is_dataclass
+from dataclasses import asdict, is_dataclass
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +22,6 @@ from numpy.typing import NDArray
 import tactile_hand_ros
 from tactile_hand_ros import files
 from tactile_hand_ros.compiled import ensure_compiled
-from tactile_hand_ros.errors import counted
 from tactile_hand_ros.sweep.engine import Point, Study, StudyError
 
 DESCRIPTION, ROWS, TABLE = "study.json", "runs.jsonl", "runs.csv"
@@ -34,26 +32,11 @@ Table = Mapping[str, NDArray[Any]]
 """Columns by name; NaN where a number is missing."""
 
 
-@dataclass
-class Tally:
-    """The progress of a study; `before` counts the runs that were finished before it started."""
-
-    total: int
-    before: int = 0
-    outcomes: Counter[str] = field(default_factory=Counter)
-
-    @property
-    def done(self) -> int:
-        """Number of finished runs."""
-        return self.before + self.outcomes.total()
-
-    def __str__(self) -> str:
-        """Return the number of finished runs, and the outcomes of the new ones."""
-        came = "".join(f", {count} {outcome}" for outcome, count in self.outcomes.items())
-        return f"{self.done} of {counted(self.total, 'run')}{came}"
+Watch = Callable[[int, int], None]
+"""Called with the number of finished runs and that of all runs."""
 
 
-def keep(study: Study, folder: Path, watch: Callable[[Tally], None] = lambda _: None) -> Tally:
+def keep(study: Study, folder: Path, watch: Watch = lambda done, total: None) -> None:
     """Execute all unfinished runs and write the table of all runs.
 
     A row contains number, outcome, reason of a failure and seed of its run, then its parameters,
@@ -68,7 +51,7 @@ def keep(study: Study, folder: Path, watch: Callable[[Tally], None] = lambda _: 
         StudyError: If the folder holds another study or cannot be written, or processes die.
     """
     try:
-        return _kept(study, folder, watch)
+        _kept(study, folder, watch)
     except OSError as error:
         raise StudyError(
             f"the results cannot be written to {folder} ({error.strerror or error}); "
@@ -76,23 +59,19 @@ def keep(study: Study, folder: Path, watch: Callable[[Tally], None] = lambda _: 
         ) from None
 
 
-def _kept(study: Study, folder: Path, watch: Callable[[Tally], None]) -> Tally:
-    total = len(study.fractions)
-    done = _begin(study, folder)
-    tally = Tally(total, len(done))
-    if tally.before == total and (folder / TABLE).is_file():
-        return tally
+def _kept(study: Study, folder: Path, watch: Watch) -> None:
+    total, finished = len(study.fractions), _begin(study, folder)
+    left = [i for i in range(total) if i not in finished]
+    if not left and (folder / TABLE).is_file():
+        return
     ensure_compiled()
     try:
         with (folder / ROWS).open("a", encoding="utf-8", buffering=1) as rows:  # line by line
-            for point, result in study.results(i for i in range(total) if i not in done):
-                row = _row(point, result)
-                rows.write(json.dumps(row) + "\n")
-                tally.outcomes[row["outcome"]] += 1
-                watch(tally)
+            for new, (point, result) in enumerate(study.results(left), 1):
+                rows.write(json.dumps(_row(point, result)) + "\n")
+                watch(len(finished) + new, total)
     finally:
         _write_table(folder)
-    return tally
 
 
 def _begin(study: Study, folder: Path) -> set[int]:

@@ -81,7 +81,8 @@ class TestPip:
         assert (share / "launch" / "tactile_hand.launch.py").is_file()
 
     def test_executables_are_those_of_the_contract(self):
-        assert executables.executable_names() == EXECUTABLES
+        found = [path.name for path in executables.executable_directory().iterdir()]
+        assert sorted(found) == EXECUTABLES
 
     def test_executables_resolve_their_imports(self, tmp_path):
         paths = [executables.executable_path(name) for name in EXECUTABLES]
@@ -98,11 +99,6 @@ class TestPip:
 
     def test_command_line_answers(self, tmp_path):
         assert "reproduce" in run("tactile-hand", "--help", cwd=tmp_path, COLUMNS="200")
-
-    @pytest.mark.parametrize("name", ["", ".", "../tactile_hand_ros/plant"])
-    def test_executable_is_a_name_not_a_path(self, name):
-        with pytest.raises(executables.ExecutableError):
-            executables.executable_path(name)
 
     def test_child_process_finds_this_interpreter(self):
         path = executables.child_environment()["PATH"]

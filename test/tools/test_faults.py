@@ -19,7 +19,7 @@ def test_a_session_of_the_campaign_keeps_the_object(tmp_path):
     assert (found["moved"] < 0.003).all() and (found["peak"] < 1.2 * found["limit"]).all()
 
 
-def test_running_nodes_survive_hostile_bytes(tmp_path):
-    report = fuzz_nodes(4.0, 3, tmp_path)
+def test_running_nodes_survive_hostile_bytes():
+    report = fuzz_nodes(4.0, 3)
     assert report.finding == "" and report.inputs > 0
     assert report.growth < 100 * 2**20

@@ -13,7 +13,7 @@ import yaml
 
 from tactile_hand_ros.config.paths import config_directory
 from tactile_hand_ros.errors import ConfigurationError
-from tactile_hand_ros.ros.processes import executable_names
+from tactile_hand_ros.ros.processes import executable_path
 
 FILE = config_directory().parent / "launch" / "tactile_hand.launch.py"
 CONTROLLERS = ["slip_regulator", "force_optimizer", "manipulation_controller"]
@@ -54,8 +54,8 @@ def _stand_ins(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
 def test_a_launch_starts_the_nodes_with_the_parameters_of_a_scenario():
     found = launched(scenario="human_hold", namespace="left")
     assert [node["executable"] for node in found] == ["plant", "tactile_sensor", *CONTROLLERS]
-    assert {node["executable"] for node in found} <= set(executable_names())
     for node in found:
+        assert executable_path(node["executable"]).is_file()
         assert node["package"] == "tactile_hand_ros" and node["namespace"] == "left"
         [(name, content)] = yaml.safe_load(Path(*node["parameters"]).read_text()).items()
         assert name == f"/**/{node['executable']}"

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from tactile_hand_ros.bag.metadata import offered_qos
-from tactile_hand_ros.bag.provenance import LOST_KEY, RECORD_NAME, provenance
+from tactile_hand_ros.bag.provenance import LOST_KEY, provenance
 from tactile_hand_ros.bag.schema import message_definition
 from tactile_hand_ros.errors import BagError
 from tactile_hand_ros.nodes.recorder.config import RecorderConfig, TopicSelection
@@ -64,23 +64,26 @@ class RecorderNode(TactileNode[RecorderConfig]):
         self._topics: dict[str, RawTopic] = {}
         self._tapped: dict[str, int] = {}  # channels of publishers of this process
         self._refused: set[str] = set()
-        self._next_discovery = self._next_flush = 0.0
-        origin = provenance(self.config.scenario)
-        compression = self.config.compression
         self._writer = WriterProcess(
-            Path(self.config.output), compression=compression, custom_data=origin
+            Path(self.config.output),
+            compression=self.config.compression,
+            custom_data=provenance(self.config.scenario),
         )
         try:
             self._writer.check()
         except BagError:
             self.destroy_node()
             raise
-        # Both in rosbag2's metadata and as an MCAP record that any reader shows.
-        self._writer.add_metadata(RECORD_NAME, origin)
         for publisher in local_publishers:
             if publisher.topic in self._selection:
                 self._tap(publisher)
-        self._visits = self.create_timer(_VISIT_PERIOD, self._on_visit)
+        self._discover()  # now: a hand in this process starts next
+        period = _SHARED_PERIOD if self._shares_process else _DISCOVERY_PERIOD
+        self._work = [
+            self.create_timer(period, self._discover),
+            self.create_timer(_FLUSH_PERIOD, self._writer.flush),
+            self.create_timer(_VISIT_PERIOD, self._on_visit),
+        ]
 
     def close(self) -> None:
         """Write the last messages, then index and metadata; the context may already be shut down.
@@ -128,35 +131,19 @@ class RecorderNode(TactileNode[RecorderConfig]):
         return {name: count for name, count in counts.items() if count}
 
     def _on_visit(self) -> None:
+        if self._drain():
+            self.diagnostics.tick()
         try:
-            if self._visit():
-                self.diagnostics.tick()
+            self._writer.send()
         except BagError as error:
             if not self._shares_process:
                 raise
             self._failure = error
-            self._visits.cancel()
+            for timer in self._work:
+                timer.cancel()
             self.diagnostics.fault("recording", str(error))
             self.get_logger().error(str(error))
             self.publish_diagnostics()
-
-    def _visit(self) -> int:
-        """Write waiting messages, search for topics if due, and return the number of messages.
-
-        Raises:
-            BagError: If the disk rejects the data.
-        """
-        now = time.monotonic()
-        if now >= self._next_discovery:
-            self._discover()
-            period = _SHARED_PERIOD if self._shares_process else _DISCOVERY_PERIOD
-            self._next_discovery = now + period
-        count = self._drain()
-        if now >= self._next_flush:
-            self._next_flush = now + _FLUSH_PERIOD
-            self._writer.flush()
-        self._writer.send()
-        return count
 
     def _last_call(self) -> None:
         """Write until the topics are quiet, so that the bag contains all messages sent so far."""

@@ -16,7 +16,7 @@ import signal
 import subprocess
 import sys
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -104,10 +104,6 @@ class WriterProcess:
         )
         self._channels += 1
         return self._channels
-
-    def add_metadata(self, name: str, values: Mapping[str, str]) -> None:
-        """Add a metadata record."""
-        self._order("add_metadata", name=name, values=dict(values))
 
     def write(self, channel: int, data: bytes, log_time: int, publish_time: int) -> None:
         """Queue one serialized message for the next `send`; times in ns."""

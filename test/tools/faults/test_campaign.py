@@ -30,8 +30,8 @@ def test_every_run_is_made_once_also_after_one_that_broke_the_nodes(monkeypatch,
     monkeypatch.setattr(campaign, "RunningHand", started)
     monkeypatch.setattr(campaign, "inject", inject)
 
-    def interrupt(tally):
-        if tally.done == 3:
+    def interrupt(done, _):
+        if done == 3:
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):

@@ -30,7 +30,7 @@ def test_every_fault_of_every_component_has_its_cells():
 
 def test_a_node_is_killed_only_where_it_is_a_process():
     for cell in space.cells():
-        if cell.is_death:
+        if cell.component in space.HAND and cell.fault in space.DEADLY:
             assert cell.way in ("lockstep", "processes") or cell.fault == "off"
     killed = space.Cell("processes", "moving", "sensor", "stopped")
     assert killed in space.cells() and killed._replace(way="composed") not in space.cells()

@@ -122,12 +122,11 @@ def test_the_minimum_grasp_force_of_a_run_follows_load_and_friction(run):
     assert after > 3.0 * before
 
 
-def test_a_small_study_gives_its_tables_and_figure(tmp_path, monkeypatch):
+def test_a_small_study_gives_its_tables(tmp_path, monkeypatch):
     monkeypatch.setattr(study, "HELD", {"known": 0.3, "unknown": 0.3})
     with workers(1):
-        tally = keep(study.study_of(2, 0), tmp_path)
-    assert (tally.done, tally.outcomes["failed"]) == (5, 0)
+        keep(study.study_of(2, 0), tmp_path)
     table = read_table(tmp_path)
+    assert len(table["outcome"]) == 5 and "failed" not in table["outcome"]
     assert [row[1] for row in study.rows(table)][-4:] == ["1", "2", "1", "1"]
     assert study.fraction_rows(table)[0][:2] == ["slipped", "2"]
-    assert study.figure(table) is not None

@@ -8,7 +8,6 @@ import pytest
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 
 from tactile_hand_ros.bag.metadata import offered_qos
-from tactile_hand_ros.bag.provenance import RECORD_NAME
 from tactile_hand_ros.bag.reader import read_messages, read_topics, summarize
 from tactile_hand_ros.bag.writer import BagWriter
 from tactile_hand_ros.errors import BagError
@@ -43,14 +42,13 @@ def test_summary(bag):
     assert (summary.start_time, summary.end_time, summary.message_count) == (0, 19, 20)
 
 
-def test_custom_data_are_those_of_the_folder_or_else_of_the_file(tmp_path):
-    """The folder's are written last. A folder may be named like a file."""
+def test_custom_data_are_read_from_a_folder_and_from_its_file(tmp_path):
+    """A folder may be named like a file; the last record in a file counts."""
     folder = tmp_path / "run.mcap"
     with BagWriter(folder) as writer:
-        writer.add_metadata(RECORD_NAME, {"scenario": "name: mine\n"})
         writer.custom_data |= {"lost_messages": "3", "scenario": "name: x\nseed: 1\n"}
     assert summarize(folder).custom_data == writer.custom_data
-    assert summarize(writer.path).custom_data == {"scenario": "name: mine\n"}
+    assert summarize(writer.path).custom_data == writer.custom_data
     BagWriter(tmp_path / "other.mcap").close()
     assert summarize(tmp_path / "other.mcap").custom_data == {}
 

@@ -109,8 +109,8 @@ def test_only_from_close_by_each_command_is_seen(hand):
         assert monitor.answered() == monitor.tick == second * SECOND
 
 
-def console(**options: Any) -> Console:
-    return line_console(io.StringIO(), width=80, **options)
+def console() -> Console:
+    return line_console(io.StringIO(), width=80)
 
 
 def written(where: Console) -> str:
@@ -119,38 +119,19 @@ def written(where: Console) -> str:
 
 
 @pytest.mark.parametrize(("duration", "of"), [(5.5, " of 5.5"), (None, "")])
-def test_a_pipe_gets_a_line_now_and_then_and_a_fault_in_full(hand, duration, of):
-    monitor, where, fault = hand.monitor(), console(force_terminal=False), "[b] " + "why " * 100
+def test_progress_is_a_line_now_and_then_and_a_fault_is_printed_once_in_full(hand, duration, of):
+    monitor, where, fault = hand.monitor(), console(), "[b] " + "why " * 100
     hand.report(PLANT, WARN, fault, answered_ns=1.25 * SECOND)
     monitor.tick = 1_250_000_000
     view = View(where, duration, quiet=False)
-    with view.bar:
-        view.show(monitor)
-        view.show(monitor)
+    view.show(monitor)
+    view.show(monitor)
     line = f"t = 1.25{of} s  {monitor.in_words()}  0.00 x real time\n"
     assert written(where) == f"t = 1.25 s  ! {PLANT}: {fault}\n" + 2 * line
     assert view.period == 2.0
 
 
-def test_a_bar_is_gone_at_the_end_and_a_fault_is_printed_in_full_above_it(hand, monkeypatch):
-    monkeypatch.setenv("TERM", "xterm")
-    monitor, reason = hand.monitor(), f"{'why ' * 30}end"
-    hand.report(PLANT, WARN, reason)
-    monitor.tick = 1_250_000_000
-    where = console(force_terminal=True, color_system=None)
-    view = View(where, 5.0, quiet=False)
-    with view.bar:
-        view.show(monitor)
-        view.show(monitor)
-    drawn = written(where)
-    assert "  1.25 / 5 s" in drawn and view.period == 0.1
-    assert drawn.count(reason) == 1  # a fault that stays is printed once
-    assert drawn.endswith("\x1b[2K")
-
-
 def test_quiet_means_quiet(hand):
-    where = console(force_terminal=True)
-    view = View(where, 1.0, quiet=True)
-    with view.bar:
-        view.show(hand.monitor())
+    where = console()
+    View(where, 1.0, quiet=True).show(hand.monitor())
     assert written(where) == ""

@@ -4,7 +4,6 @@
 import signal
 import sys
 import textwrap
-import threading
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -275,21 +274,3 @@ def test_a_signal_ends_a_node_quietly_and_one_that_waits_takes_no_processor_time
         known = (": ready", "publisher's context is invalid, at")
         assert [x for x in process.stderr.splitlines() if not any(k in x for k in known)] == []
         assert "closed" in process.stdout
-
-
-class EndedWhileServing(WaitSetExecutor):
-    """An executor that another thread shuts down while the public executor waits."""
-
-    def _serve(self, timeout_sec: float | None, nodes: Any = None) -> bool:
-        threading.Timer(0.1, self.shutdown).start()
-        return super()._serve(10.0, nodes)
-
-
-def test_a_shutdown_that_the_public_executor_notices_first_ends_the_loop(nodes):
-    """The guard condition wakes only one of the two."""
-    executor = EndedWhileServing(context=nodes[0].context)
-    executor.add_node(nodes[0])
-    spinning = threading.Thread(target=executor.spin, daemon=True)
-    spinning.start()
-    spinning.join(timeout=20.0)
-    assert not spinning.is_alive()

@@ -11,19 +11,18 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tactile_hand_ros.errors import ConfigurationError
-from tactile_hand_ros.ros.scheduling import Scheduling, take_scheduling, yield_while_resending
+from tactile_hand_ros.ros.scheduling import take_priority, yield_while_resending
 
 
 @given(st.integers(0, 99))
 def test_what_is_written_is_read(priority):
-    asked = Scheduling(priority)
-    assert take_scheduling(asked.arguments) == (asked, [])
+    assert take_priority(["--priority", str(priority)]) == (priority, [])
 
 
 def test_other_words_are_left_alone():
     words = ["--priority=7", "-h", "other"]
-    assert take_scheduling(words) == (Scheduling(7), ["-h", "other"])
-    assert take_scheduling([]) == (Scheduling(), [])
+    assert take_priority(words) == (7, ["-h", "other"])
+    assert take_priority([]) == (0, [])
 
 
 @pytest.mark.parametrize(
@@ -31,7 +30,7 @@ def test_other_words_are_left_alone():
 )
 def test_nonsense_is_refused(words):
     with pytest.raises(ConfigurationError, match=words[0].partition("=")[0]):
-        take_scheduling(words)
+        take_priority(words)
 
 
 def _policies_of_thread(name):

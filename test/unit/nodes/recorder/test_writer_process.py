@@ -29,7 +29,6 @@ def started(folder: Path) -> WriterProcess:
 
 
 def fill(writer: BagWriter | WriterProcess) -> None:
-    writer.add_metadata("origin", {"a": "b"})
     one, two = (writer.add_channel(topic, TYPE) for topic in ("/one", "/two"))
     for i in range(3000):
         writer.write(one if i % 3 else two, MESSAGE + i.to_bytes(4, "little"), 10 + i, 5 + i)
