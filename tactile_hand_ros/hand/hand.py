@@ -264,7 +264,9 @@ class Hand:
     def fingertips(self, theta: Array) -> Fingertips:
         """Return fingertip centers and Jacobians, equation (1)."""
         pin.computeJointJacobians(self.model, self._data, self.all_angles(theta))
-        centers = self._read_centers()
+        return self._tips_at(self._read_centers())
+
+    def _tips_at(self, centers: Array) -> Fingertips:
         jacobians = tip_jacobians(self._spatial, self._support, self._coupling, centers)
         return Fingertips(centers, *jacobians)
 
@@ -283,9 +285,7 @@ class Hand:
     def dynamics(self, theta: Array, rates: Array) -> Dynamics:
         """Return fingertips, inertia matrix M_h and bias C_h theta' + N_h of equation (3)."""
         raw = self.raw_dynamics(theta, rates)
-        jacobians = tip_jacobians(raw.spatial, raw.support, raw.coupling, raw.centers)
-        tips = Fingertips(raw.centers, *jacobians)
-        return Dynamics(tips, mirrored(raw.inertia), raw.bias.copy())
+        return Dynamics(self._tips_at(raw.centers), mirrored(raw.inertia), raw.bias.copy())
 
     def raw_dynamics(self, theta: Array, rates: Array) -> RawDynamics:
         """Return the raw arrays of `dynamics`, which the next call overwrites."""
