@@ -106,6 +106,9 @@ class HandConfig(Config):
     couplings: dict[str, Coupling] = Field(
         default_factory=dict, description="couplings that replace <mimic>, by follower"
     )
+    joint_losses: Literal["ignore", "file"] = param(
+        "ignore", "damping and friction of the joints in the simulation: none, or the file's"
+    )
     driver: DriverConfig = DriverConfig()
     default_layout: str = param("", "layout used when none is asked for")
     layouts: dict[str, dict[str, MountConfig]] = Field(
@@ -173,6 +176,16 @@ class HandConfig(Config):
 
 
 def load_hand_config(name: str) -> HandConfig:
-    """Load the YAML file of a hand, by name (``paper``) or by path (``my/hand.yaml``)."""
+    """Load the YAML file of a hand, by name (``paper``) or by path (``my/hand.yaml``).
+
+    Raises:
+        HandModelError: If it is the URDF or MJCF itself.
+    """
+    if (given := Path(name)).suffix.lower() in (".urdf", ".xml", ".mjcf", ".xacro"):
+        raise HandModelError(
+            f"'{name}' says nothing of palm and fingertips; give a YAML file such as "
+            f"`{{urdf: {given.name}, palm: LINK, fingers: [{{name: thumb, tip: LINK}}, {{name: "
+            "index, tip: LINK}]}`"
+        )
     path = find_file("hand", name)
     return load_yaml(path, HandConfig).model_copy(update={"folder": path.resolve().parent})
