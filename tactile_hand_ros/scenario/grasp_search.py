@@ -21,14 +21,15 @@ from tactile_hand_ros.control.contact import (
     Contacts,
     contact_frame,
     face_frame,
+    hand_jacobian,
     in_palm,
     joint_torques,
 )
 from tactile_hand_ros.control.controller import FEWEST_MOTIONS, LEAST_ROOM
-from tactile_hand_ros.control.grasp import wrench_forces
+from tactile_hand_ros.control.grasp import check_joints, check_spread, wrench_forces
 from tactile_hand_ros.control.holds import motions_of_object
 from tactile_hand_ros.control.optimizer.force_optimizer import ForceOptimizer, ForceOptimizerConfig
-from tactile_hand_ros.control.reach import room
+from tactile_hand_ros.control.reach import end_of, room
 from tactile_hand_ros.control.slip.regulator import SlipRegulatorConfig
 from tactile_hand_ros.errors import GraspError
 from tactile_hand_ros.extras import optional
@@ -245,7 +246,13 @@ class _Problem:
         return gaps, -self._sides[:, None] * np.eye(3)[self._axis]
 
     def _facing(self, tips: Array, normals: Array) -> Array:
-        """Return how far the finger that is alone is from facing the others, any shape."""
+        """Return how far the finger that is alone is from facing the others, any shape.
+
+        Two contacts face each other through the center of mass, about whose line they resist no
+        turn.
+        """
+        if len(tips) == 2:
+            return np.asarray(tips[:, self._across] / self._scale).ravel()
         others = tips[self._others][:, self._across].mean(axis=0)
         return np.asarray((tips[self._alone, self._across] - others) / self._scale)
 
@@ -283,9 +290,15 @@ class _Problem:
             return None, "a contact is beyond an edge"
         points = x[-6:-3] + tips @ turn.T + hand.radii[:, None] * normals
         contacts = Contacts(points, np.array([contact_frame(normal) for normal in normals]))
-        left = float(room(hand, theta, contacts).min())
+        ways, fingertips = room(hand, theta, contacts), hand.fingertips(theta)
+        left = float(ways.min())
         if left < LEAST_ROOM:
-            return None, "a joint is near its end, or a contact near the rim of its fingertip"
+            return None, f"no room is left of the way of {end_of(hand, int(ways.argmin()))}"
+        try:
+            check_spread(points)
+            check_joints(hand_jacobian(fingertips, points, contacts.rotations))
+        except GraspError:
+            return None, "contacts are on one line, or the hand is singular (A5, A7)"
         optimal = ForceOptimizer(ForceOptimizerConfig(), hand.fingers).solve(contacts)
         if not optimal.ok:
             return None, optimal.reason
@@ -293,7 +306,6 @@ class _Problem:
         needed = float((sideways / normal).max()) if (normal > 0.0).all() else np.inf
         if needed >= friction:
             return None, f"friction of {friction:g} does not hold it"
-        fingertips = hand.fingertips(theta)
 
         def torques(forces: Array) -> Array:
             return joint_torques(*fingertips, points, forces)
