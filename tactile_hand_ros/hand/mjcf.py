@@ -98,7 +98,9 @@ def _add_shapes(link: Element, model: Any, body: int) -> None:
         if kind == _BOX:
             shapes.append(("box", {"size": _text(2.0 * sizes)}, place))
         if kind in (_CAPSULE, _CYLINDER):
-            shapes.append(("cylinder", {"radius": _text(radius), "length": _text(2.0 * half)}, place))
+            shapes.append(
+                ("cylinder", {"radius": _text(radius), "length": _text(2.0 * half)}, place)
+            )
         if kind in (_CAPSULE, _SPHERE):
             ends = (half, -half) if kind == _CAPSULE else (0.0,)
             along = (_turned(turn, np.array([0.0, 0.0, end])) for end in ends)

@@ -70,15 +70,17 @@ def finger_rows(hand: Hand) -> list[list[str]]:
 
 def notes(hand: Hand) -> list[str]:
     """Return what users should know of the hand's file, in sentences."""
-    found = [
-        f"{name}: the file states {each[each > 0.0].min():g} to {each.max():g} {unit}, which the "
-        f"simulation {'uses' if hand.has_losses else 'ignores'} (`joint_losses` in the YAML)"
-        for name, each, unit in (
-            ("damping", hand.damping, "N m s/rad"),
-            ("friction", hand.friction, "N m"),
-        )
-        if each.any()
-    ]
+    found, use = [], "uses" if hand.has_losses else "ignores"
+    losses = {"damping": (hand.damping, "N m s/rad"), "friction": (hand.friction, "N m")}
+    for name, (values, unit) in losses.items():
+        if values.any():
+            stated = " to ".join(
+                dict.fromkeys(f"{v:.3g}" for v in np.sort(values[values > 0])[[0, -1]])
+            )
+            found.append(
+                f"{name}: the file states {stated} {unit}, which the simulation {use} (see "
+                "'joint_losses' in the YAML)"
+            )
     weak = np.flatnonzero(hand.friction >= hand.effort_limits)
     if hand.has_losses and len(weak):
         found.append(f"{_named(hand, weak)}: friction is above the largest torque; nothing moves")

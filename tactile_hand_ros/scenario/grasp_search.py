@@ -50,6 +50,7 @@ _GAP = 0.002  # m between two fingertips
 _MIDDLE = 0.03  # weight of joint angles in the middle of their range
 _OUTSIDE = 0.9  # of the range of a joint, from which more is avoided
 _NO_SPAN = 1e-9  # rad or m, range of a joint that cannot move
+_NO_SPEED = 1e-3  # m/rad, singular value of a direction in which a tip does not move (A5)
 _ROOM = 0.25  # of the ways to joint limits and rims, that a grasp needs to be moved
 _TOUCH = 1e-4  # m; further away, a tip does not touch
 # Observer of a hand that keeps its posture at the bandwidth w = 125 rad/s of a hold at 1 kHz. The
@@ -75,6 +76,8 @@ class FoundGrasp:
         load: Largest force on the object, in any direction, at which all joints stay inside their
             limits, N.
         motions: Directions of 6 in which the joints move the object.
+        press: Smallest part of a contact normal in the directions in which its finger moves, 0 to
+            1. What a finger cannot press itself, its tip slips along before it is stopped.
     """
 
     theta: Array
@@ -86,6 +89,7 @@ class FoundGrasp:
     room: float
     load: float
     motions: int
+    press: float
 
 
 def expected_friction(friction: float) -> float:
@@ -102,7 +106,7 @@ def search(
 ) -> list[FoundGrasp]:
     """Return the grasps that were found, the one that carries most first.
 
-    Those without room to move count less.
+    Those without room to move count less, and those whose fingers press beside the normals.
 
     Args:
         hand: The hand.
@@ -134,7 +138,7 @@ def search(
             f"mm was found from {len(reasons)} postures; most often {most}. Try another size, or "
             "check limits, axis and center of the tips with `tactile-hand hand`"
         )
-    return sorted(found, key=lambda grasp: -grasp.load * min(1.0, grasp.room / _ROOM))
+    return sorted(found, key=lambda grasp: -grasp.load * grasp.press * min(1.0, grasp.room / _ROOM))
 
 
 def scenario_values(hand: str, body: ObjectConfig, found: FoundGrasp) -> dict[str, Any]:
@@ -176,6 +180,12 @@ def scenario_values(hand: str, body: ObjectConfig, found: FoundGrasp) -> dict[st
         },
         "manipulation_controller": {"law": {"observer": {"time": _SLOW}}} if few else {},
     }
+
+
+def _pressing(jacobian: Array, normal: Array) -> float:
+    """Return the part of a normal, shape (3,), in the velocities of a tip, J of shape (3, m)."""
+    directions, speeds, _ = np.linalg.svd(jacobian, full_matrices=False)
+    return float(np.linalg.norm(normal @ directions[:, speeds > _NO_SPEED]))
 
 
 def _rounded(values: Array) -> list[float]:
@@ -320,7 +330,8 @@ class _Problem:
         pose = x[-6:-3].copy(), vector_from_rotation(turn)
         found = theta.copy(), *pose, contacts, needed, load / (friction - needed), left, load
         motions = motions_of_object(hand, theta, contacts)
-        return FoundGrasp(*found, motions), ""
+        press = min(map(_pressing, fingertips.linear, normals))
+        return FoundGrasp(*found, motions, press), ""
 
 
 class _RoundProblem(_Problem):

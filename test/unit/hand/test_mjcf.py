@@ -113,7 +113,9 @@ def test_a_mesh_without_a_round_end_is_named(tmp_path):
     fingers = [{"name": f"f{i}", "tip": f"f{i}_tip", "radius": 0.02} for i in (1, 2, 3)]
     fingers[1] = {"name": "f2", "tip": "f2_tip", "axis": [0.0, 0.0, 1.0]}
     path.write_text(yaml.safe_dump({"urdf": "hand.urdf", "fingers": fingers}))
-    with pytest.raises(HandModelError, match="'f2': no sphere fits the end of the mesh of 'f2_tip'"):
+    with pytest.raises(
+        HandModelError, match="'f2': no sphere fits the end of the mesh of 'f2_tip'"
+    ):
         Hand.load(str(path))
 
 
