@@ -198,8 +198,8 @@ def _shift(joint: Element, at: float) -> None:
 
     origin, axis = joint.find("origin"), joint.find("axis")
     origin = SubElement(joint, "origin") if origin is None else origin
-    place, angles = (_vector(origin.get(key, "0 0 0")) for key in ("xyz", "rpy"))
-    along = at * _vector("1 0 0" if axis is None else axis.get("xyz", "1 0 0"))
+    place, angles = (vector_of(origin.get(key, "0 0 0")) for key in ("xyz", "rpy"))
+    along = at * vector_of("1 0 0" if axis is None else axis.get("xyz", "1 0 0"))
     rotation = pin.rpy.rpyToMatrix(angles)
     if joint.get("type") == "prismatic":
         place = place + rotation @ along
@@ -214,10 +214,11 @@ def _number(element: Element, key: str, default: float) -> float:
     return float(words[0]) if words else default
 
 
-def _vector(text: str) -> np.ndarray:
+def vector_of(text: str) -> np.ndarray:
+    """Return the three numbers of an attribute; raise HandModelError if there are others."""
     words = text.split()
     if len(words) != 3:
-        raise HandModelError(f"a joint of the URDF has '{text}', expected three numbers")
+        raise HandModelError(f"the URDF has '{text}', expected three numbers")
     return np.array([float(word) for word in words])
 
 

@@ -11,7 +11,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from tactile_hand_ros.compiled import compiled
+from tactile_hand_ros.compiled import Array, compiled
 from tactile_hand_ros.config.hand_config import (
     Coupling,
     FingerConfig,
@@ -21,8 +21,6 @@ from tactile_hand_ros.config.hand_config import (
 from tactile_hand_ros.errors import HandModelError
 from tactile_hand_ros.hand.tip_fit import fitted_tips
 from tactile_hand_ros.hand.urdf import describe
-
-Array = NDArray[np.float64]
 
 
 class Fingertips(NamedTuple):

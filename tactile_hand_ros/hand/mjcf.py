@@ -9,12 +9,10 @@ from xml.etree.ElementTree import Element, SubElement
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
+from tactile_hand_ros.compiled import Array
 from tactile_hand_ros.errors import HandModelError
 from tactile_hand_ros.extras import optional
-
-Array = NDArray[np.float64]
 
 _FREE, _SLIDE, _HINGE = 0, 2, 3  # of mjtJoint
 _SPHERE, _CAPSULE, _CYLINDER, _BOX = 2, 3, 5, 6  # of mjtGeom
@@ -94,21 +92,22 @@ def _add_shapes(link: Element, model: Any, body: int) -> None:
     for geom in np.flatnonzero((model.geom_bodyid == body) & collides):
         kind, place, turn = model.geom_type[geom], model.geom_pos[geom], model.geom_quat[geom]
         radius, half, _ = sizes = model.geom_size[geom]
-        shapes = []
-        if kind == _BOX:
-            shapes.append(("box", {"size": _text(2.0 * sizes)}, place))
-        if kind in (_CAPSULE, _CYLINDER):
-            shapes.append(
-                ("cylinder", {"radius": _text(radius), "length": _text(2.0 * half)}, place)
-            )
-        if kind in (_CAPSULE, _SPHERE):
-            ends = (half, -half) if kind == _CAPSULE else (0.0,)
-            along = (_turned(turn, np.array([0.0, 0.0, end])) for end in ends)
-            shapes += [("sphere", {"radius": _text(radius)}, place + each) for each in along]
+        rod = {"radius": radius, "length": 2.0 * half}
+        end = _turned(turn, np.array([0.0, 0.0, half]))
+        shapes = {
+            _SPHERE: [("sphere", {"radius": radius}, place)],
+            _CAPSULE: [
+                ("cylinder", rod, place),
+                *(("sphere", {"radius": radius}, place + each) for each in (end, -end)),
+            ],
+            _CYLINDER: [("cylinder", rod, place)],
+            _BOX: [("box", {"size": 2.0 * sizes}, place)],
+        }.get(kind, [])
         for tag, size, center in shapes:
             collision = SubElement(link, "collision")
             _add_origin(collision, center, turn)
-            SubElement(SubElement(collision, "geometry"), tag, size)
+            numbers = {key: _text(value) for key, value in size.items()}
+            SubElement(SubElement(collision, "geometry"), tag, numbers)
 
 
 def _add_joints(root: Element, model: Any, body: int, efforts: Array) -> None:

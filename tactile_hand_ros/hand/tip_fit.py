@@ -10,13 +10,12 @@ from xml.etree.ElementTree import Element
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
+from tactile_hand_ros.compiled import Array
 from tactile_hand_ros.config.hand_config import FingerConfig, HandConfig
 from tactile_hand_ros.errors import HandModelError
 from tactile_hand_ros.extras import optional
-
-Array = NDArray[np.float64]
+from tactile_hand_ros.hand.extract import vector_of
 
 _END = 0.25  # of the extent along the axis, where the fit starts
 _ROUNDS = 10  # of fitting and choosing points again
@@ -94,12 +93,12 @@ def fit_tip(points: Array, axis: Array) -> Fit:
 
 
 def _own(root: Element, finger: FingerConfig) -> Fit | None:
-    """Return the sphere in the collision shapes of a tip link, that at its end if it has several."""
+    """Return the sphere of a tip link's collision shapes, the last one along its axis."""
     found = []
     for shape in root.findall(f"link[@name='{finger.tip}']/collision"):
         sphere, origin = shape.find("geometry/sphere"), shape.find("origin")
         if sphere is not None:
-            center = _vector("0 0 0" if origin is None else origin.get("xyz", "0 0 0"))
+            center = vector_of("0 0 0" if origin is None else origin.get("xyz", "0 0 0"))
             x, y, z = center.tolist()
             fit = Fit((x, y, z), float(sphere.get("radius", "nan")), 0.0)
             found.append((float(center @ np.array(finger.axis)), fit))
@@ -118,11 +117,11 @@ def _points(root: Element, finger: FingerConfig, file: Path) -> Array:
         trimesh = optional("trimesh", "Fitting a fingertip")
         body = trimesh.load(_mesh_file(str(mesh.get("filename")), file), force="mesh")
         points, _ = trimesh.sample.sample_surface(body, _SAMPLES, seed=0)
-        points = points * _vector("1 1 1" if mesh.get("scale") is None else mesh.get("scale"))
+        points = points * vector_of(mesh.get("scale", "1 1 1"))
         if origin is None:
             return np.asarray(points)
-        turn = pin.rpy.rpyToMatrix(_vector(origin.get("rpy", "0 0 0")))
-        return np.asarray(points @ turn.T + _vector(origin.get("xyz", "0 0 0")))
+        turn = pin.rpy.rpyToMatrix(vector_of(origin.get("rpy", "0 0 0")))
+        return np.asarray(points @ turn.T + vector_of(origin.get("xyz", "0 0 0")))
     raise HandModelError(
         f"finger '{finger.name}' has no radius, and its tip link '{finger.tip}' has neither a "
         "sphere nor a mesh to fit one to; give 'radius' and 'center' in the hand's YAML"
@@ -140,7 +139,3 @@ def _mesh_file(name: str, file: Path) -> Path:
         f"the mesh '{name}' is not beside '{file}'; correct the URDF, or give 'radius' and "
         "'center' of the fingertip in the hand's YAML"
     )
-
-
-def _vector(text: str | None) -> Array:
-    return np.array([float(word) for word in str(text).split()])

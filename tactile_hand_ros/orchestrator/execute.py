@@ -132,8 +132,7 @@ def _conclude(
     verdict = results.judge(plan, outcome, found, signal_code)
     results.write_summary(plan, directory, outcome, found, verdict)
     if found.metrics is not None and found.metrics.link_inside:
-        at = f"{found.metrics.link_inside} from {found.metrics.link_inside_s:.3g} s"
-        show(f"warning: inside the object: {at}; the simulation lets links pass")
+        show(f"warning: inside the object, unfelt: {found.metrics.link_note}")
     if found.run is not None:
         console.print(results.table(plan, outcome, found))
         if options.report:

@@ -74,13 +74,8 @@ def notes(hand: Hand) -> list[str]:
     losses = {"damping": (hand.damping, "N m s/rad"), "friction": (hand.friction, "N m")}
     for name, (values, unit) in losses.items():
         if values.any():
-            stated = " to ".join(
-                dict.fromkeys(f"{v:.3g}" for v in np.sort(values[values > 0])[[0, -1]])
-            )
-            found.append(
-                f"{name}: the file states {stated} {unit}, which the simulation {use} (see "
-                "'joint_losses' in the YAML)"
-            )
+            text = f"{name}: the file states {values[values > 0.0].min():.3g} to {values.max():.3g}"
+            found.append(f"{text} {unit}, which the simulation {use} (`joint_losses` in the YAML)")
     weak = np.flatnonzero(hand.friction >= hand.effort_limits)
     if hand.has_losses and len(weak):
         found.append(f"{_named(hand, weak)}: friction is above the largest torque; nothing moves")

@@ -133,6 +133,11 @@ class Metrics(Plain):
     link_inside_s: float = math.nan
 
     @property
+    def link_note(self) -> str:
+        """The link inside the object and its time in words."""
+        return f"{self.link_inside} from {self.link_inside_s:.3g} s"
+
+    @property
     def is_dropped(self) -> bool:
         """Whether the object was dropped."""
         return not math.isnan(self.dropped_at_s)

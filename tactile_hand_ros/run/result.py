@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import fields, replace
 from functools import cached_property
 from pathlib import Path
@@ -89,14 +90,11 @@ class RunData:
 
     def _link_inside(self) -> tuple[str, float]:
         """Return the result of `derived.link_inside`; empty and NaN without hand or object."""
-        try:
-            if self.scenario is None or self._hand[0] is None:
-                return "", math.nan
-            return link_inside(
-                self.record, LinkCollisions(self._hand[0], self.scenario.plant.object.solid())
-            )
-        except ObjectModelError:  # its mesh stayed on the machine of the run
-            return "", math.nan
+        with suppress(ObjectModelError):  # its mesh stayed on the machine of the run
+            if self.scenario is not None and self._hand[0] is not None:
+                links = LinkCollisions(self._hand[0], self.scenario.plant.object.solid())
+                return link_inside(self.record, links)
+        return "", math.nan
 
     @property
     def headline(self) -> str:

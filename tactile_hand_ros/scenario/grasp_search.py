@@ -15,8 +15,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tactile_hand_ros.compiled import Array
 from tactile_hand_ros.control.contact import (
     Contacts,
     contact_frame,
@@ -38,8 +38,6 @@ from tactile_hand_ros.rotations import rodrigues, vector_from_rotation
 from tactile_hand_ros.scenario.link_collisions import LinkCollisions
 from tactile_hand_ros.simulation.plant_config import ObjectConfig
 from tactile_hand_ros.simulation.solid import closest_point
-
-Array = NDArray[np.float64]
 
 STARTS = 40
 """Random postures for each choice of faces and of the finger that is alone."""

@@ -6,14 +6,11 @@ from __future__ import annotations
 import itertools
 
 import coal
-import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
+from tactile_hand_ros.compiled import Array
 from tactile_hand_ros.hand.hand import Hand
 from tactile_hand_ros.simulation.solid import Solid
-
-Array = NDArray[np.float64]
 
 
 class LinkCollisions:

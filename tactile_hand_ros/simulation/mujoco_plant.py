@@ -21,8 +21,8 @@ from typing import Any
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
+from tactile_hand_ros.compiled import Array
 from tactile_hand_ros.extras import optional
 from tactile_hand_ros.hand.hand import Hand
 from tactile_hand_ros.rotations import (
@@ -35,8 +35,6 @@ from tactile_hand_ros.simulation.contact_step import TOUCH, Motion, contact_geom
 from tactile_hand_ros.simulation.coulomb import EXACT, UNSOLVED
 from tactile_hand_ros.simulation.plant import Plant
 from tactile_hand_ros.simulation.plant_config import ObjectConfig, PlantConfig
-
-Array = NDArray[np.float64]
 
 _OBJECT = "object of the plant"  # no finger has a name with spaces
 # A contact that slides lifts off and has no force for a step, again and again. Without substeps, a

@@ -15,6 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_hand_ros.compiled import Array
 from tactile_hand_ros.control.contact import Contacts
 from tactile_hand_ros.errors import ConfigurationError, DivergedError, ObjectModelError
 from tactile_hand_ros.hand.hand import Hand, RawDynamics, mirrored
@@ -37,8 +38,6 @@ from tactile_hand_ros.simulation.joint_sensor import JointReading, JointSensor
 from tactile_hand_ros.simulation.palm_motion import Turning, apparent_wrench, palm_turning
 from tactile_hand_ros.simulation.plant_config import PlantConfig, external_wrench
 from tactile_hand_ros.simulation.skin import TactileReading
-
-Array = NDArray[np.float64]
 
 _FASTEST = 1e4  # rad/s and m/s
 _ENDLESS = 1e9  # times the largest inertia: that of a joint at its stop

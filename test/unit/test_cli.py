@@ -85,7 +85,9 @@ def test_notes_name_what_a_hand_file_states_and_what_becomes_of_it(tmp_path):
         axes[0] + "".join(some[1:]).replace('effort="30"', 'effort="9"')
     )
     damping, friction, endless, _ = notes(Hand.load(str(path)))
-    assert damping.startswith("damping: the file states 0.5 N m s/rad") and "ignores" in damping
+    assert (
+        damping.startswith("damping: the file states 0.5 to 0.5 N m s/rad") and "ignores" in damping
+    )
     assert friction.startswith("friction: the file states 1 to 9 N m, which the simulation ignores")
     assert endless.startswith("f2_joint_1: the file states no torque limit")
     path.write_text(path.read_text() + "joint_losses: file\n")

@@ -122,8 +122,9 @@ def test_two_fingers_hold_a_box_through_its_center(tmp_path):
     assert np.linalg.norm(np.cross(one, along)) < 2e-3
 
 
-def test_a_grasp_whose_fingers_can_press_along_the_normals_comes_first(tmp_path):
+def test_a_grasp_whose_fingers_can_press_along_the_normals_comes_first(tmp_path, monkeypatch):
     """Fingers of two joints meet a ball also where they can hardly press it."""
+    monkeypatch.setattr(grasp_search, "STARTS", 40)
     hand = Hand.load(str(write_hand(tmp_path, [3, 2, 2])), gravity=DOWN)
     found = search(hand, body_of((0.2, 0.2, 0.2), "sphere"))
     worth = [grasp.load * grasp.press * min(1.0, 4.0 * grasp.room) for grasp in found]
