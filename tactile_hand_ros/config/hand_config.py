@@ -28,7 +28,10 @@ class FingerConfig(Config):
     name: str = param(..., "name of the finger in topics and frames", pattern=_NAME)
     tip: str = param(..., "link of the fingertip", min_length=1)
     radius: float = param(
-        0.0, "radius of the fingertip, 0 to fit a sphere to the link's mesh", unit="m", ge=0.0
+        0.0,
+        "radius of the fingertip, 0 for the link's sphere, or one of its mesh",
+        unit="m",
+        ge=0.0,
     )
     center: tuple[float, float, float] = param(
         (0.0, 0.0, 0.0),

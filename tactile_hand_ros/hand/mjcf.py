@@ -50,7 +50,7 @@ def urdf_of_mjcf(path: Path) -> Element:
 def _efforts(model: Any) -> Array:
     """Return the largest torque or force of each joint, from its actuators and its own limit."""
     out = np.zeros(model.njnt)
-    for i in np.flatnonzero(model.actuator_trntype == 0):
+    for i in np.flatnonzero(model.actuator_trntype == 0).tolist():
         joint = model.actuator_trnid[i, 0]
         out[joint] += abs(model.actuator_gear[i, 0]) * _largest_force(model, i, joint)
     out = np.where(out > 0.0, out, _ENDLESS)

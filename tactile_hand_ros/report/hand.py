@@ -76,10 +76,10 @@ def notes(hand: Hand) -> list[str]:
         if values.any():
             text = f"{name}: the file states {values[values > 0.0].min():.3g} to {values.max():.3g}"
             found.append(f"{text} {unit}, which the simulation {use} (`joint_losses` in the YAML)")
-    weak = np.flatnonzero(hand.friction >= hand.effort_limits)
-    if hand.has_losses and len(weak):
+    weak = np.flatnonzero(hand.friction >= hand.effort_limits).tolist()
+    if hand.has_losses and weak:
         found.append(f"{_named(hand, weak)}: friction is above the largest torque; nothing moves")
-    if len(free := np.flatnonzero(hand.effort_limits >= _ENDLESS)):
+    if free := np.flatnonzero(hand.effort_limits >= _ENDLESS).tolist():
         found.append(
             f"{_named(hand, free)}: the file states no torque limit, or one of no hand; give it "
             "under 'limits' in the YAML, or under 'couplings' for a joint that follows another"
@@ -89,7 +89,7 @@ def notes(hand: Hand) -> list[str]:
     return found
 
 
-def _named(hand: Hand, joints: Array) -> str:
+def _named(hand: Hand, joints: list[int]) -> str:
     return ", ".join(hand.joint_names[i] for i in joints)
 
 
