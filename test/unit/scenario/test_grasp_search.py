@@ -153,7 +153,7 @@ def test_the_command_writes_a_scenario_that_can_run_and_a_picture(tmp_path, caps
     assert main(["grasp", "human", "0.04", "--out", str(tmp_path)]) == 0
     printed = capsys.readouterr().out
     file = tmp_path / "human_40mm.yaml"
-    assert "a load of 0.2 kg leaves pulls of " in printed
+    assert "with 0.2 kg, it bears pulls of up to " in printed
     assert f"next: tactile-hand run {file}" in printed and Path(file).with_suffix(".png").is_file()
     record = ClosedLoop(load_scenario(str(file), {"duration": 0.2})).run()
     assert np.isfinite(record.true_positions).all()
