@@ -57,6 +57,8 @@ def hand(
     )
     print_table(title, h.JOINT_COLUMNS, h.joint_rows(found))
     print_table(f"{found.fingers} fingers", h.FINGER_COLUMNS, h.finger_rows(found))
+    for note in h.notes(found):
+        print(note)
     print_files(h.draw(found, out, Path(name).stem), out)
 
 

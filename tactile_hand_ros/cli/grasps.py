@@ -76,6 +76,7 @@ def find_grasp(
             "before a joint reaches its torque limit; take a lighter one"
         )
     chosen = mass or min(_HEAVY, _PART * heaviest)
+    print(f"with {chosen:.3g} kg, it bears pulls of up to {best.load - _GRAVITY * chosen:.2g} N")
     kind = "" if shape == "box" else f"{shape}_"
     name = f"{Path(hand).stem}_{kind}{1e3 * size[0]:.0f}mm"
     where = str(Path(hand).resolve()) if Path(hand).is_file() else hand

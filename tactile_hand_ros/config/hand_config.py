@@ -28,7 +28,10 @@ class FingerConfig(Config):
     name: str = param(..., "name of the finger in topics and frames", pattern=_NAME)
     tip: str = param(..., "link of the fingertip", min_length=1)
     radius: float = param(
-        0.0, "radius of the fingertip, 0 to fit a sphere to the link's mesh", unit="m", ge=0.0
+        0.0,
+        "radius of the fingertip, 0 for the link's sphere, or one of its mesh",
+        unit="m",
+        ge=0.0,
     )
     center: tuple[float, float, float] = param(
         (0.0, 0.0, 0.0),
@@ -106,6 +109,9 @@ class HandConfig(Config):
     couplings: dict[str, Coupling] = Field(
         default_factory=dict, description="couplings that replace <mimic>, by follower"
     )
+    joint_losses: Literal["ignore", "file"] = param(
+        "ignore", "damping and friction of the joints in the simulation: none, or the file's"
+    )
     driver: DriverConfig = DriverConfig()
     default_layout: str = param("", "layout used when none is asked for")
     layouts: dict[str, dict[str, MountConfig]] = Field(
@@ -173,6 +179,16 @@ class HandConfig(Config):
 
 
 def load_hand_config(name: str) -> HandConfig:
-    """Load the YAML file of a hand, by name (``paper``) or by path (``my/hand.yaml``)."""
+    """Load the YAML file of a hand, by name (``paper``) or by path (``my/hand.yaml``).
+
+    Raises:
+        HandModelError: If it is the URDF or MJCF itself.
+    """
+    if (given := Path(name)).suffix.lower() in (".urdf", ".xml", ".mjcf", ".xacro"):
+        raise HandModelError(
+            f"'{name}' says nothing of palm and fingertips; give a YAML file such as "
+            f"`{{urdf: {given.name}, palm: LINK, fingers: [{{name: thumb, tip: LINK}}, {{name: "
+            "index, tip: LINK}]}`"
+        )
     path = find_file("hand", name)
     return load_yaml(path, HandConfig).model_copy(update={"folder": path.resolve().parent})

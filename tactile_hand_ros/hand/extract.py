@@ -77,8 +77,8 @@ def take_hand(root: Element, config: HandConfig, name: str) -> dict[str, Couplin
         name: Name of the file.
 
     Raises:
-        HandModelError: If a joint that the YAML names is not there, or a coupling has no leader of
-            its own.
+        HandModelError: If a joint that the YAML names is not there, a joint of the hand has no
+            limits, or a coupling has no leader of its own.
     """
     joints = {str(joint.get("name")): joint for joint in root.findall("joint")}
     for limited, limit in config.limits.items():
@@ -94,6 +94,8 @@ def take_hand(root: Element, config: HandConfig, name: str) -> dict[str, Couplin
         elif joint.get("type") == "continuous":
             joint.set("type", "revolute")
             _limit(joint, {"lower": -_TURN, "upper": _TURN})
+        if joint.get("type") in _MOVES:
+            _check_limit(joint, own in couplings, name)
     return {follower: each for follower, each in couplings.items() if follower in used}
 
 
@@ -122,6 +124,21 @@ def _limit(joint: Element, values: Mapping[str, float]) -> None:
     limit = SubElement(joint, "limit") if limit is None else limit
     for key, value in values.items():
         limit.set(key, repr(float(value)))
+
+
+def _check_limit(joint: Element, follows: bool, name: str) -> None:
+    """Reject a joint that moves without limits; the torque of one that follows does not count."""
+    limit = joint.find("limit")
+    found = {} if limit is None else limit.attrib
+    wrong = [f"no {key}" for key in ("effort", "velocity") if key not in found]
+    if limit is not None and not wrong and not follows and _number(limit, "effort", 0.0) <= 0.0:
+        wrong = [f"an effort of {found['effort']}"]
+    if wrong:
+        raise HandModelError(
+            f"'{name}', joint '{joint.get('name')}': <limit> has {' and '.join(wrong)}, expected a "
+            "torque or force above 0 and a speed; correct the URDF, or give them under 'limits' in "
+            "the hand's YAML"
+        )
 
 
 def _couplings(
@@ -207,7 +224,7 @@ def three_numbers(element: Element | None, key: str, default: str = "0 0 0") -> 
     text = default if element is None else element.get(key, default)
     words = text.split()
     if len(words) != 3:
-        raise HandModelError(f"a joint of the URDF has '{text}', expected three numbers")
+        raise HandModelError(f"the URDF has '{text}', expected three numbers")
     return np.array([float(word) for word in words])
 
 

@@ -131,6 +131,9 @@ class Hand:
         effort_limits: Largest torque of each joint, shape (m,), N m; infinite where unset.
         velocity_limits: Largest speed of each joint, shape (m,), rad/s; infinite where unset.
         position_limits: Lowest and highest joint angles, two arrays of shape (m,), rad.
+        damping: Torque per speed that the file states, shape (m,), N m s/rad.
+        friction: Coulomb friction of the joints that the file states, shape (m,), N m.
+        has_losses: Whether damping and friction act in the simulation; no controller knows them.
         bases: First joint of each finger, palm frame, shape (k, 3), m.
         spans: Largest distance of each fingertip from there, shape (k,), m.
         finger_mass: Mean mass of a finger, kg.
@@ -182,6 +185,9 @@ class Hand:
         self.radii = tip_radii * np.array([finger.radius for finger in fingers])
         self.joint_names = driven
         self._set_limits()
+        s = self._coupling if self._coupling.size else np.eye(self.joints)
+        self.damping, self.friction = self.model.damping @ s**2, self.model.friction @ np.abs(s)
+        self.has_losses = config.joint_losses == "file"
         self.bases, self.spans = _reaches(self.model, self.tip_frames)
         self.finger_mass = sum(body.mass for body in self.model.inertias[1:]) / self.fingers
         self.finger_weight = 9.81 * self.finger_mass

@@ -16,6 +16,7 @@ from tactile_hand_ros.extras import optional
 from tactile_hand_ros.rotations import rotation_from_quaternion
 
 _FREE, _SLIDE, _HINGE = 0, 2, 3  # of mjtJoint
+_SPHERE, _CAPSULE, _CYLINDER, _BOX = 2, 3, 5, 6  # of mjtGeom
 _ENDLESS = 1e3  # N m or N, effort of a joint without an actuator that has a limit
 _FASTEST = 1e2  # rad/s or m/s; MJCF has no limits of speed
 
@@ -24,7 +25,8 @@ def urdf_of_mjcf(path: Path) -> Element:
     """Return the links and joints of an MJCF file as a URDF.
 
     Bodies become links. A body with several joints gets a link without mass between two of them.
-    Efforts are those of the actuators. Rotor inertia, damping, friction and tendons are left out.
+    Efforts are those of the actuators. Shapes that collide are kept, except meshes and ellipsoids.
+    Rotor inertia and tendons are left out.
 
     Args:
         path: The file.
@@ -40,33 +42,73 @@ def urdf_of_mjcf(path: Path) -> Element:
     root = Element("robot", name=path.stem)
     efforts = _efforts(model)
     for body in range(model.nbody):
-        _add_link(root, model, body)
+        _add_shapes(_add_link(root, model, body), model, body)
         if body:
             _add_joints(root, model, body, efforts)
     return root
 
 
 def _efforts(model: Any) -> Array:
-    """Return the largest torque or force of each joint, from its actuators."""
+    """Return the largest torque or force of each joint, from its actuators and its own limit."""
     out = np.zeros(model.njnt)
-    for i in range(model.nu):
+    for i in np.flatnonzero(model.actuator_trntype == 0).tolist():
         joint = model.actuator_trnid[i, 0]
-        if model.actuator_trntype[i] == 0 and model.actuator_forcelimited[i]:
-            gear = abs(model.actuator_gear[i, 0])
-            out[joint] += gear * np.abs(model.actuator_forcerange[i]).max()
-    return np.where(out > 0.0, out, _ENDLESS)
+        out[joint] += abs(model.actuator_gear[i, 0]) * _largest_force(model, i, joint)
+    out = np.where(out > 0.0, out, _ENDLESS)
+    own = np.where(model.jnt_actfrclimited, np.abs(model.jnt_actfrcrange).max(axis=1), _ENDLESS)
+    return np.minimum(out, own)
 
 
-def _add_link(root: Element, model: Any, body: int) -> None:
+def _largest_force(model: Any, actuator: int, joint: int) -> float:
+    """Return the largest force of an actuator, 0 if it has no end.
+
+    Without limits of its force, it is what the ends of the control and of the joint command.
+    """
+    if model.actuator_forcelimited[actuator]:
+        return float(np.abs(model.actuator_forcerange[actuator]).max())
+    if not model.actuator_ctrllimited[actuator]:
+        return 0.0
+    controls = model.actuator_gainprm[actuator, 0] * model.actuator_ctrlrange[actuator]
+    constant, stiffness = model.actuator_biasprm[actuator, :2]
+    lengths = model.actuator_gear[actuator, 0] * model.jnt_range[joint]
+    return float(np.abs(controls[:, None] + constant + stiffness * lengths).max())
+
+
+def _add_link(root: Element, model: Any, body: int) -> Element:
     link = SubElement(root, "link", name=model.body(body).name)
     if model.body_mass[body] <= 0.0:
-        return
+        return link
     inertial = SubElement(link, "inertial")
     _add_origin(inertial, model.body_ipos[body], model.body_iquat[body])
     SubElement(inertial, "mass", value=repr(float(model.body_mass[body])))
     moments = zip(("ixx", "iyy", "izz"), model.body_inertia[body].tolist(), strict=True)
     values = {key: repr(value) for key, value in moments}
     SubElement(inertial, "inertia", values, ixy="0", ixz="0", iyz="0")
+    return link
+
+
+def _add_shapes(link: Element, model: Any, body: int) -> None:
+    """Give a link the shapes of its body that collide; a capsule is a cylinder and two spheres."""
+    collides = (model.geom_contype | model.geom_conaffinity) != 0
+    for geom in np.flatnonzero((model.geom_bodyid == body) & collides):
+        kind, place, turn = model.geom_type[geom], model.geom_pos[geom], model.geom_quat[geom]
+        radius, half, _ = sizes = model.geom_size[geom]
+        rod = {"radius": radius, "length": 2.0 * half}
+        end = _matrix(turn) @ np.array([0.0, 0.0, half])
+        shapes = {
+            _SPHERE: [("sphere", {"radius": radius}, place)],
+            _CAPSULE: [
+                ("cylinder", rod, place),
+                *(("sphere", {"radius": radius}, place + each) for each in (end, -end)),
+            ],
+            _CYLINDER: [("cylinder", rod, place)],
+            _BOX: [("box", {"size": 2.0 * sizes}, place)],
+        }.get(kind, [])
+        for tag, size, center in shapes:
+            collision = SubElement(link, "collision")
+            _add_origin(collision, center, turn)
+            numbers = {key: _text(value) for key, value in size.items()}
+            SubElement(SubElement(collision, "geometry"), tag, numbers)
 
 
 def _add_joints(root: Element, model: Any, body: int, efforts: Array) -> None:
@@ -105,6 +147,9 @@ def _add_joints(root: Element, model: Any, body: int, efforts: Array) -> None:
         lower, upper = model.jnt_range[joint].tolist()
         limits = {"lower": lower, "upper": upper, "effort": efforts[joint], "velocity": _FASTEST}
         SubElement(element, "limit", {key: repr(float(value)) for key, value in limits.items()})
+        dof = model.jnt_dofadr[joint]
+        losses = model.dof_damping[dof], model.dof_frictionloss[dof]
+        SubElement(element, "dynamics", damping=_text(losses[0]), friction=_text(losses[1]))
         parent, place, turn, before = child, np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]), at
     if count and parent != name:
         _add_joint(root, f"{name}_mount", "fixed", parent, name, -before, turn)
@@ -130,5 +175,5 @@ def _matrix(turn: Array) -> Array:
     return rotation_from_quaternion(np.roll(turn, -1))
 
 
-def _text(vector: Array) -> str:
-    return " ".join(map(repr, np.asarray(vector).tolist()))
+def _text(values: Any) -> str:
+    return " ".join(map(repr, np.atleast_1d(values).tolist()))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Spheres in place of fingertips, fitted to the end of the tip link's mesh."""
+"""Spheres in place of fingertips: one of the tip link, or fitted to the end of its mesh."""
 
 from __future__ import annotations
 
@@ -21,6 +21,7 @@ _END = 0.25  # of the extent along the axis, where the fit starts
 _ROUNDS = 10  # of fitting and choosing points again
 _BEYOND = 1.5  # radii from the center, within which points count
 _SAMPLES = 20_000
+_WORST = 0.5  # of the radius, error of a fit that is none
 
 
 class Fit(NamedTuple):
@@ -45,14 +46,20 @@ def fitted_tips(config: HandConfig, description: str) -> tuple[list[FingerConfig
         description: Its URDF with meshes.
 
     Raises:
-        HandModelError: If a tip has neither radius nor mesh.
+        HandModelError: If a tip has neither radius nor sphere nor mesh, or no sphere fits.
     """
     fingers, errors = list(config.fingers), np.zeros(len(config.fingers))
     root = ElementTree.fromstring(description)
     for i, finger in enumerate(fingers):
         if finger.radius == 0.0:
-            points = _points(root, finger, config.file)
-            fit = fit_tip(points, np.array(finger.axis))
+            axis = np.array(finger.axis)
+            fit = _own(root, finger) or fit_tip(_points(root, finger, config.file), axis)
+            if not fit.error < _WORST * fit.radius:
+                raise HandModelError(
+                    f"finger '{finger.name}': no sphere fits the end of the mesh of '{finger.tip}' "
+                    f"along the axis {list(finger.axis)}; correct 'axis', or give 'radius' and "
+                    "'center' in the hand's YAML"
+                )
             update = {"center": fit.center, "radius": fit.radius}
             fingers[i], errors[i] = finger.model_copy(update=update), fit.error
     return fingers, errors
@@ -72,6 +79,8 @@ def fit_tip(points: Array, axis: Array) -> Fit:
     chosen = heights > heights.max() - _END * np.ptp(heights)
     center, radius, away = np.zeros(3), 0.0, np.zeros(0)
     for _ in range(_ROUNDS):
+        if not chosen.any():
+            return Fit((0.0, 0.0, 0.0), 0.0, np.inf)
         near = points[chosen]
         # |p|^2 = 2 p.c + (r^2 - |c|^2) is linear in the center c and in the rest.
         system = np.column_stack([2.0 * near, np.ones(len(near))])
@@ -82,6 +91,19 @@ def fit_tip(points: Array, axis: Array) -> Fit:
         chosen = (apart @ axis > 0.0) & (np.linalg.norm(apart, axis=1) < _BEYOND * radius)
     x, y, z = center.tolist()
     return Fit((x, y, z), radius, float(np.sqrt((away**2).mean())))
+
+
+def _own(root: Element, finger: FingerConfig) -> Fit | None:
+    """Return the sphere of a tip link's collision shapes, the last one along its axis."""
+    found = []
+    for shape in root.findall(f"link[@name='{finger.tip}']/collision"):
+        sphere, origin = shape.find("geometry/sphere"), shape.find("origin")
+        if sphere is not None:
+            center = three_numbers(origin, "xyz")
+            x, y, z = center.tolist()
+            fit = Fit((x, y, z), float(sphere.get("radius", "nan")), 0.0)
+            found.append((float(center @ np.array(finger.axis)), fit))
+    return max(found)[1] if found else None
 
 
 def _points(root: Element, finger: FingerConfig, file: Path) -> Array:
@@ -100,8 +122,8 @@ def _points(root: Element, finger: FingerConfig, file: Path) -> Array:
         place = three_numbers(origin, "xyz")
         return np.asarray(points * three_numbers(mesh, "scale", "1 1 1") @ turn.T + place)
     raise HandModelError(
-        f"finger '{finger.name}' has no radius, and its tip link '{finger.tip}' has no mesh to fit "
-        "one to; give 'radius' and 'center' in the hand's YAML"
+        f"finger '{finger.name}' has no radius, and its tip link '{finger.tip}' has neither a "
+        "sphere nor a mesh to fit one to; give 'radius' and 'center' in the hand's YAML"
     )
 
 
@@ -112,4 +134,7 @@ def _mesh_file(name: str, file: Path) -> Path:
         for candidate in (folder / inside, folder / inside.split("/", 1)[-1]):
             if candidate.is_file():
                 return candidate
-    raise HandModelError(f"the mesh '{name}' is not beside '{file}'; correct the URDF")
+    raise HandModelError(
+        f"the mesh '{name}' is not beside '{file}'; correct the URDF, or give 'radius' and "
+        "'center' of the fingertip in the hand's YAML"
+    )

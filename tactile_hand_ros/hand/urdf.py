@@ -20,14 +20,14 @@ _MAX_LINKS = 500
 _LARGEST_NUMBER = 1e6  # in SI units; far above any hand, far below overflow
 _PRINTED = 0.01  # of the largest moment: rounding in a URDF
 _INERTIA = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
-_LIMITED = ("revolute", "prismatic")
-_TYPES = (*_LIMITED, "fixed", "continuous", "floating", "planar")
+_TYPES = ("revolute", "prismatic", "fixed", "continuous", "floating", "planar")
 _OF_LINKS = {"inertial/origin": ("xyz", "rpy"), "inertial/mass": ("value",)}
 _OF_JOINTS = {
     "origin": ("xyz", "rpy"),
     "axis": ("xyz",),
     "limit": ("lower", "upper", "effort", "velocity"),
     "mimic": ("multiplier", "offset"),
+    "dynamics": ("damping", "friction"),
 }
 
 
@@ -121,9 +121,8 @@ def _not_expanded(path: Path) -> HandModelError:
 def _check_numbers(root: Element, name: str, any_inertia: bool) -> None:
     for joint in root.findall("joint"):
         for tag, attribute, value in _numbers(joint, _OF_JOINTS, name):
-            if joint.get("type") in _LIMITED and attribute == "effort" and value <= 0.0:
-                found, expected = f"{tag} effort is {value:g}", "a torque or force above 0"
-                raise _wrong(joint, name, found, expected)
+            if tag == "dynamics" and value < 0.0:
+                raise _wrong(joint, name, f"{attribute} is {value:g}", "none below 0")
     moved = moved_links(root)
     for link in root.findall("link"):
         moves = link.get("name") in moved  # frames that are fixed to the palm may have no mass
@@ -154,11 +153,6 @@ def _check_tree(root: Element, name: str) -> None:
         kind = str(joint.get("type"))
         if kind not in _TYPES:
             raise _wrong(joint, name, f"its type is '{kind}'", f"one of {', '.join(_TYPES)}")
-        limit = joint.find("limit")
-        missing = {"effort", "velocity"} - set(() if limit is None else limit.keys())
-        if kind in _LIMITED and missing:
-            found = f"<limit> lacks {' and '.join(sorted(missing))}"
-            raise _wrong(joint, name, found, "limits of a joint that moves")
     if len(links - children) != 1:
         roots = ", ".join(sorted(str(link) for link in links - children)) or "none"
         raise HandModelError(f"'{name}' has the root links {roots}; expected one")

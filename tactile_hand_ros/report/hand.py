@@ -11,10 +11,13 @@ from tactile_hand_ros.compiled import Array
 from tactile_hand_ros.hand.hand import Hand
 from tactile_hand_ros.report.scene import hand_figure
 from tactile_hand_ros.report.style import save
+from tactile_hand_ros.scenario.link_collisions import LinkCollisions
+from tactile_hand_ros.simulation.solid import Solid
 
 JOINT_COLUMNS = ("joint", "moves", "range, rad", "torque, N m", "speed, rad/s", "also moves")
 FINGER_COLUMNS = ("finger", "joints", "radius, mm", "fitted to, mm", "reach, mm", "force, N")
 
+_ENDLESS = 500.0  # N m or N, far above any hand
 _CLOSED = 0.4  # of the range of each joint, where the hand is drawn and its strength computed
 
 
@@ -63,6 +66,31 @@ def finger_rows(hand: Hand) -> list[list[str]]:
         ]
         for name, joints, (radius, error, span), n in rows
     ]
+
+
+def notes(hand: Hand) -> list[str]:
+    """Return what users should know of the hand's file, in sentences."""
+    found, use = [], "uses" if hand.has_losses else "ignores"
+    losses = {"damping": (hand.damping, "N m s/rad"), "friction": (hand.friction, "N m")}
+    for name, (values, unit) in losses.items():
+        if values.any():
+            text = f"{name}: the file states {values[values > 0.0].min():.3g} to {values.max():.3g}"
+            found.append(f"{text} {unit}, which the simulation {use} (`joint_losses` in the YAML)")
+    weak = np.flatnonzero(hand.friction >= hand.effort_limits).tolist()
+    if hand.has_losses and weak:
+        found.append(f"{_named(hand, weak)}: friction is above the largest torque; nothing moves")
+    if free := np.flatnonzero(hand.effort_limits >= _ENDLESS).tolist():
+        found.append(
+            f"{_named(hand, free)}: the file states no torque limit, or one of no hand; give it "
+            "under 'limits' in the YAML, or under 'couplings' for a joint that follows another"
+        )
+    if not LinkCollisions(hand, Solid.box(np.ones(3))).names:
+        found.append("without collision shapes of links, no check sees them inside an object")
+    return found
+
+
+def _named(hand: Hand, joints: list[int]) -> str:
+    return ", ".join(hand.joint_names[i] for i in joints)
 
 
 def draw(hand: Hand, folder: Path, name: str) -> list[Path]:

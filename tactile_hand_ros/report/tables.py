@@ -27,6 +27,7 @@ def metrics_rows(m: Metrics) -> list[list[str]]:
         ["simulated time", f"{m.simulated_time_s:g} s in {m.ticks} ticks"],
         *([] if held else [["object", f"dropped at {m.dropped_at_s:.3f} s"]]),
         *(_held_rows(m) if held else []),
+        *([["link inside the object", m.link_note]] if m.link_inside else []),
         ["peak joint rate", number(m.peak_joint_rate_rad_per_s, "rad/s")],
         *_contact_rows(m),
     ]

@@ -13,7 +13,9 @@ from tactile_hand_ros.closed_loop.record import Record
 from tactile_hand_ros.compiled import Array
 from tactile_hand_ros.control import grasp
 from tactile_hand_ros.rotations import rotation_from_quaternion
+from tactile_hand_ros.scenario.link_collisions import LinkCollisions
 
+_LOOK = 0.05  # s between two looks at links in the object
 _LONG = 5
 """Consecutive missing ticks that count as a gap; in real time, a late plant skips a few."""
 
@@ -148,6 +150,21 @@ def motion_in_grasp(record: Record) -> tuple[Array, Array]:
     # The chord of a rotation is exact for small angles, where the arc cosine of a trace is not.
     chord = np.linalg.norm(turn - turn[first], axis=(1, 2)) / np.sqrt(8.0)
     return moved, 2.0 * np.arcsin(np.clip(chord, 0.0, 1.0))
+
+
+def link_inside(record: Record, links: LinkCollisions) -> tuple[str, float]:
+    """Return which link first came inside the true object, and when, s; empty and NaN if none did.
+
+    Poses are compared every 50 ms.
+    """
+    known = np.flatnonzero(np.isfinite(record.object_position).all(axis=1))
+    looks = np.diff(np.floor(record.times[known] / _LOOK), prepend=-1.0) > 0.0
+    for row in known[looks]:
+        turn = rotation_from_quaternion(record.object_quaternion[row])
+        found = links.touching(record.theta[row], record.object_position[row], turn)
+        if found:
+            return found[0], float(record.times[row])
+    return "", math.nan
 
 
 def rolling(record: Record) -> Array:

@@ -91,7 +91,7 @@ class Event:
         kind: ``slip`` is the true start of sliding, ``detection`` the alarm of the hand,
             ``reaction`` the rise of the grasp force after it, ``request`` a service call by a user,
             ``refusal`` a rejected command, ``gap`` a stretch of ticks missing from the recording.
-        finger: Name of the finger, empty if it concerns the whole hand.
+        finger: Name of the finger or link, empty if it concerns the whole hand.
         text: The event in words.
     """
 

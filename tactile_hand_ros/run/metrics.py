@@ -94,6 +94,9 @@ class Metrics(Plain):
         dropped_at_s: When the object was dropped; NaN if it was held or released.
         goal_reached: Whether the object is held, the final errors are within the goal, and no
             contact is known to have slid too far; None without a scenario.
+        link_inside: Name of the first link but for tips that came inside the object, empty if
+            none did. The simulation lets them pass.
+        link_inside_s: When it did; NaN if none did.
 
     Example:
         >>> from tactile_hand_ros import simulate
@@ -126,6 +129,13 @@ class Metrics(Plain):
     slip_alarm_count: int
     dropped_at_s: float
     goal_reached: bool | None
+    link_inside: str = ""
+    link_inside_s: float = math.nan
+
+    @property
+    def link_note(self) -> str:
+        """The link inside the object and its time in words."""
+        return f"{self.link_inside} from {self.link_inside_s:.3g} s"
 
     @property
     def is_dropped(self) -> bool:

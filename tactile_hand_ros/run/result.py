@@ -3,7 +3,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import fields, replace
 from functools import cached_property
 from pathlib import Path
@@ -14,13 +16,15 @@ import numpy as np
 from tactile_hand_ros import names
 from tactile_hand_ros.bag.provenance import LOST_KEY
 from tactile_hand_ros.closed_loop.record import Record
-from tactile_hand_ros.errors import TactileHandError
+from tactile_hand_ros.errors import ObjectModelError, TactileHandError
 from tactile_hand_ros.extras import optional
 from tactile_hand_ros.hand.hand import Hand
 from tactile_hand_ros.run.assumptions import Assumption, assumptions
+from tactile_hand_ros.run.derived import link_inside
 from tactile_hand_ros.run.events import Asked, Event, asked_events, events, releases
 from tactile_hand_ros.run.metrics import Metrics, metrics
 from tactile_hand_ros.run.recording import BagMetrics
+from tactile_hand_ros.scenario.link_collisions import LinkCollisions
 from tactile_hand_ros.scenario.scenario import Scenario, resolved
 
 
@@ -80,7 +84,17 @@ class RunData:
     def metrics(self) -> Metrics:
         """The results as numbers."""
         found = metrics(self.record, self.scenario, releases=releases(self.requests))
+        link, since = self._link_inside()
+        found = replace(found, link_inside=link, link_inside_s=since)
         return replace(found, goal_reached=None) if self.steered else found
+
+    def _link_inside(self) -> tuple[str, float]:
+        """Return the result of `derived.link_inside`; empty and NaN without hand or object."""
+        with suppress(ObjectModelError):  # its mesh stayed on the machine of the run
+            if self.scenario is not None and self._hand[0] is not None:
+                links = LinkCollisions(self._hand[0], self.scenario.plant.object.solid())
+                return link_inside(self.record, links)
+        return "", math.nan
 
     @property
     def headline(self) -> str:
@@ -102,27 +116,36 @@ class RunData:
 
     @cached_property
     def _assumptions(self) -> tuple[list[Assumption], str]:
+        hand, problem = self._hand
+        return ([] if hand is None else assumptions(self.record, hand)), problem
+
+    @cached_property
+    def _hand(self) -> tuple[Hand | None, str]:
+        """The hand of the scenario, or why a scenario has none that fits the record."""
         if self.scenario is None:
-            return [], ""
+            return None, ""
         try:
             hand = Hand.load(self.scenario.hand, self.scenario.layout)
         except TactileHandError as error:
-            return [], f"The assumptions are omitted because the hand cannot be loaded: {error}."
+            return None, f"The assumptions are omitted because the hand cannot be loaded: {error}."
         here = hand.fingers, hand.joints
         recorded = len(self.record.finger_names), len(self.record.joint_names)
         if here != recorded:
-            return [], (
+            return None, (
                 f"The assumptions are omitted because the hand '{self.scenario.hand}' has "
                 f"{here[0]} fingers and {here[1]} joints here, "
                 f"{recorded[0]} and {recorded[1]} in the bag."
             )
-        return assumptions(self.record, hand), ""
+        return hand, ""
 
     @cached_property
     def events(self) -> list[Event]:
         """The events in order of time: see `run.events.Event`."""
         found = events(self.record, self.scenario, dropped=self.metrics.dropped_at_s)
         found += [*asked_events(self.requests, self.refusals), *self.pushes]
+        if link := self.metrics.link_inside:
+            text = f"{link} comes inside the object"
+            found.append(Event(self.metrics.link_inside_s, "contact_made", link, text))
         return sorted(found, key=lambda event: event.time)
 
     def to_pandas(self) -> Any:

@@ -21,14 +21,15 @@ from tactile_hand_ros.control.contact import (
     Contacts,
     contact_frame,
     face_frame,
+    hand_jacobian,
     in_palm,
     joint_torques,
 )
 from tactile_hand_ros.control.controller import FEWEST_MOTIONS, LEAST_ROOM
-from tactile_hand_ros.control.grasp import wrench_forces
+from tactile_hand_ros.control.grasp import check_joints, check_spread, wrench_forces
 from tactile_hand_ros.control.holds import motions_of_object
 from tactile_hand_ros.control.optimizer.force_optimizer import ForceOptimizer, ForceOptimizerConfig
-from tactile_hand_ros.control.reach import room
+from tactile_hand_ros.control.reach import end_of, room
 from tactile_hand_ros.control.slip.regulator import SlipRegulatorConfig
 from tactile_hand_ros.errors import GraspError
 from tactile_hand_ros.extras import optional
@@ -47,6 +48,7 @@ _GAP = 0.002  # m between two fingertips
 _MIDDLE = 0.03  # weight of joint angles in the middle of their range
 _OUTSIDE = 0.9  # of the range of a joint, from which more is avoided
 _NO_SPAN = 1e-9  # rad or m, range of a joint that cannot move
+_NO_SPEED = 1e-3  # m/rad, singular value of a direction in which a tip does not move (A5)
 _ROOM = 0.25  # of the ways to joint limits and rims, that a grasp needs to be moved
 _TOUCH = 1e-4  # m; further away, a tip does not touch
 # Observer of a hand that keeps its posture at the bandwidth w = 125 rad/s of a hold at 1 kHz. The
@@ -72,6 +74,8 @@ class FoundGrasp:
         load: Largest force on the object, in any direction, at which all joints stay inside their
             limits, N.
         motions: Directions of 6 in which the joints move the object.
+        press: Smallest part of a contact normal in the directions in which its finger moves, 0 to
+            1. What a finger cannot press itself, its tip slips along before it is stopped.
     """
 
     theta: Array
@@ -83,6 +87,7 @@ class FoundGrasp:
     room: float
     load: float
     motions: int
+    press: float
 
 
 def expected_friction(friction: float) -> float:
@@ -96,7 +101,7 @@ def search(
 ) -> list[FoundGrasp]:
     """Return the grasps that were found, the one that carries most first.
 
-    Those without room to move count less.
+    Those without room to move count less, and those whose fingers press beside the normals.
 
     Args:
         hand: The hand.
@@ -128,7 +133,7 @@ def search(
             f"mm was found from {len(reasons)} postures; most often {most}. Try another size, or "
             "check limits, axis and center of the tips with `tactile-hand hand`"
         )
-    return sorted(found, key=lambda grasp: -grasp.load * min(1.0, grasp.room / _ROOM))
+    return sorted(found, key=lambda grasp: -grasp.load * grasp.press * min(1.0, grasp.room / _ROOM))
 
 
 def scenario_values(hand: str, body: ObjectConfig, found: FoundGrasp) -> dict[str, Any]:
@@ -170,6 +175,12 @@ def scenario_values(hand: str, body: ObjectConfig, found: FoundGrasp) -> dict[st
         },
         "manipulation_controller": {"law": {"observer": {"time": _SLOW}}} if few else {},
     }
+
+
+def _pressing(jacobian: Array, normal: Array) -> float:
+    """Return the part of a normal, shape (3,), in the velocities of a tip, J of shape (3, m)."""
+    directions, speeds, _ = np.linalg.svd(jacobian, full_matrices=False)
+    return float(np.linalg.norm(normal @ directions[:, speeds > _NO_SPEED]))
 
 
 def _rounded(values: Array) -> list[float]:
@@ -244,7 +255,13 @@ class _Problem:
         return gaps, -self._sides[:, None] * np.eye(3)[self._axis]
 
     def _facing(self, tips: Array, normals: Array) -> Array:
-        """Return how far the finger that is alone is from facing the others, any shape."""
+        """Return how far the finger that is alone is from facing the others, any shape.
+
+        Two contacts face each other through the center of mass, about whose line they resist no
+        turn.
+        """
+        if len(tips) == 2:
+            return np.asarray(tips[:, self._across] / self._scale).ravel()
         others = tips[self._others][:, self._across].mean(axis=0)
         return np.asarray((tips[self._alone, self._across] - others) / self._scale)
 
@@ -282,9 +299,12 @@ class _Problem:
             raise GraspError("a contact is beyond an edge")
         points = x[-6:-3] + tips @ turn.T + hand.radii[:, None] * normals
         contacts = Contacts(points, np.array([contact_frame(normal) for normal in normals]))
-        left = float(room(hand, theta, contacts).min())
+        ways, fingertips = room(hand, theta, contacts), hand.fingertips(theta)
+        left = float(ways.min())
         if left < LEAST_ROOM:
-            raise GraspError("a joint is near its end, or a contact near the rim of its fingertip")
+            raise GraspError(f"no room is left of the way of {end_of(hand, int(ways.argmin()))}")
+        check_spread(points)
+        check_joints(hand_jacobian(fingertips, points, contacts.rotations))
         optimal = ForceOptimizer(ForceOptimizerConfig(), hand.fingers).solve(contacts)
         if not optimal.ok:
             raise GraspError(optimal.reason)
@@ -292,7 +312,6 @@ class _Problem:
         needed = float((sideways / normal).max()) if (normal > 0.0).all() else np.inf
         if needed >= friction:
             raise GraspError(f"friction of {friction:g} does not hold it")
-        fingertips = hand.fingertips(theta)
 
         def torques(forces: Array) -> Array:
             return joint_torques(*fingertips, points, forces)
@@ -307,7 +326,8 @@ class _Problem:
         pose = x[-6:-3].copy(), vector_from_rotation(turn)
         found = theta.copy(), *pose, contacts, needed, load / (friction - needed), left, load
         motions = motions_of_object(hand, theta, contacts)
-        return FoundGrasp(*found, motions)
+        press = min(map(_pressing, fingertips.linear, normals))
+        return FoundGrasp(*found, motions, press)
 
 
 class _RoundProblem(_Problem):

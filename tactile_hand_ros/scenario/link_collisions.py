@@ -14,7 +14,11 @@ from tactile_hand_ros.simulation.solid import Solid
 
 
 class LinkCollisions:
-    """Finds palm and links that an object intersects; those without collision shapes never do."""
+    """Finds palm and links that an object intersects; those without collision shapes never do.
+
+    Attributes:
+        names: Palm and links with collision shapes, but for the tips.
+    """
 
     def __init__(self, hand: Hand, solid: Solid) -> None:
         """Read the shapes of the hand's URDF.
@@ -34,6 +38,7 @@ class LinkCollisions:
         bodies = enumerate(geometry.geometryObjects)
         named = {i: hand.model.frames[body.parentFrame].name for i, body in bodies}
         self._links = {i: name for i, name in named.items() if name not in hand.tip_links}
+        self.names = set(self._links.values())
         self._geometry, self._placed = geometry, geometry.createData()
         self._object = _surface(solid)
 

@@ -10,7 +10,8 @@ MuJoCo replaces contact laws by soft constraints. What is exact in `Plant` and s
   Impacts take a few steps.
 - A contact that sticks creeps in proportion to its tangential force, and drifts where it rolls;
   `slid` counts both. A contact that slides lifts off and comes back within a step.
-- Joints overshoot their limits, and joints that follow others lag within a step.
+- Joints overshoot their limits, joints that follow others lag within a step, and joints held by
+  their friction creep.
 - Positions are of first order in the time step.
 """
 
@@ -42,7 +43,9 @@ _SUBSTEPS = 10
 # The part of an acceleration that a constraint cancels. The rest lets a loaded tip sink in. It must
 # sink in deeper than rolling lifts it, or its force is interrupted, as at 0.9999 in `pull`.
 _IMPEDANCE = 0.99
-_COUPLED = 0.9999  # the same of coupled joints, the largest: light links sag in between
+# The same of coupled joints, the largest: light links sag in between; and of joints that friction
+# holds, which creep the less.
+_COUPLED = 0.9999
 _FRICTION_TO_NORMAL = 100.0  # end of the recommended range; creep is that much slower
 _TOLERANCE = 1e-12  # of the solver; an iteration more than with 1e-8
 _ITERATIONS = 100
@@ -153,6 +156,7 @@ class _Builder:
         # of sliding contacts vary twice as much; a longer one makes contacts softer.
         self._solref = [config.time_step, 1.0]
         self._solimp = [_IMPEDANCE, _IMPEDANCE, 1.0, 0.5, 1.0]  # at any depth
+        self._stiff = [_COUPLED, _COUPLED, 1.0, 0.5, 1.0]
         self._masses: list[tuple[float, Array]] = []
 
     def build(self) -> Any:
@@ -163,6 +167,11 @@ class _Builder:
         model = self._spec.compile()
         for i, (mass, moments) in enumerate(self._masses, start=1):
             model.body_mass[i], model.body_inertia[i] = mass, moments
+        hand = self._hand.model
+        for i, name in enumerate(hand.names[1:] if self._hand.has_losses else ()):
+            dof = model.joint(name).dofadr[0]
+            model.dof_damping[dof], model.dof_frictionloss[dof] = hand.damping[i], hand.friction[i]
+            model.dof_solref[dof], model.dof_solimp[dof] = self._solref, self._stiff
         self._mj.mj_setConst(model, self._mj.MjData(model))
         return model
 
@@ -202,9 +211,7 @@ class _Builder:
             bodies[frame.parentJoint].add_geom(name=name, type=sphere, **at, **_NO_CONTACT)
         for name, c in hand.couplings.items():
             law = {"type": self._mj.mjtEq.mjEQ_JOINT, "name1": name, "name2": c.joint}
-            made = self._spec.add_equality(
-                **law, solref=self._solref, solimp=[_COUPLED, _COUPLED, 1.0, 0.5, 1.0]
-            )
+            made = self._spec.add_equality(**law, solref=self._solref, solimp=self._stiff)
             made.data[:2] = c.offset, c.ratio  # of a polynomial
 
     def _add_object(self) -> None:

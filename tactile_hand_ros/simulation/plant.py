@@ -40,6 +40,8 @@ from tactile_hand_ros.simulation.skin import TactileReading
 
 _FASTEST = 1e4  # rad/s and m/s
 _ENDLESS = 1e9  # times the largest inertia: that of a joint at its stop
+_TRIALS = 3  # of rest and both directions of a joint that friction may slide in, for each joint
+_SLACK = 1e-6  # of the largest friction, by which a joint at rest may exceed it
 _REACH = 5e-3  # initial gap that `reset` closes by moving the fingers, m
 _REACH_BY_TOUCH = 5e-2  # the same with a wrong calibration, where the hand closes by touch, m
 
@@ -173,6 +175,7 @@ class Plant:
         self.push(np.zeros(6), 0.0)
         self._turn_palm(0.0)
         self.relaxed_steps = self.unsolved_steps = 0
+        self._slides = np.zeros(self.hand.joints)  # directions in which joints slide, 0 at rest
         self._changes = sorted(self.config.friction_changes, key=lambda change: change.start)
         self._joint_sensor.reset()
         self._sense_joints()
@@ -196,9 +199,12 @@ class Plant:
             missing = np.where(np.abs(gaps) <= self._reach, gaps, 0.0)
             if np.abs(missing).max() < 1e-15:
                 break
-            moves = frames[:, :, 1] * missing[:, None]
-            jacobian = self.hand.fingertips(now.theta).linear.reshape(-1, self.hand.joints)
-            turn = np.linalg.lstsq(jacobian, moves.ravel(), rcond=1e-6)[0]
+            normals, jacobian = frames[:, :, 1], self.hand.fingertips(now.theta).linear
+            moves = normals * missing[:, None]
+            if self.hand.moves.sum(axis=1).min() < 3:  # a finger cannot move along the normal alone
+                jacobian, moves = np.einsum("ki,kij->kj", normals, jacobian), missing
+            rows = jacobian.reshape(-1, self.hand.joints)
+            turn = np.linalg.lstsq(rows, moves.ravel(), rcond=1e-6)[0]
             now = now._replace(theta=now.theta + turn)
         return now
 
@@ -273,20 +279,49 @@ class Plant:
         terms = self.hand.raw_dynamics(theta, ahead[: self.hand.joints])
         if turns is not None:
             terms = terms._replace(bias=terms.bias + turns)
-        return self._within_limits(h, terms, wrench)
+        return self._with_losses(h, terms, wrench)
 
-    def _within_limits(self, h: float, hand: RawDynamics, wrench: Array) -> Motion:
+    def _with_losses(self, h: float, hand: RawDynamics, wrench: Array) -> Motion:
+        """Return a step with damping and Coulomb friction of the joints, where the hand has them.
+
+        Damping is implicit, so that it is stable at any step. Friction is a torque against the
+        velocity after the step, or less where it keeps a joint at rest. Which joints slide, and
+        how, follows from trials that start with the last step, one joint changed after another.
+        """
+        if not self.hand.has_losses:
+            return self._within_limits(h, self._now, hand, self._acting, wrench)
+        m, start, largest = self.hand.joints, self._now.velocities, self.hand.friction
+        lossless, bias = mirrored(hand.inertia), hand.bias + self.hand.damping * start[:m]
+        inertia = np.asfortranarray(lossless + h * np.diag(self.hand.damping))
+        hand = hand._replace(inertia=inertia, bias=bias)
+        for _ in range(_TRIALS * m):
+            rests = (self._slides == 0.0) & (largest > 0.0)
+            torque = self._acting - self._slides * largest
+            after = self._within_limits(h, *at_rest(self._now, hand, rests), torque, wrench)
+            pushes = np.tensordot(after.impulses, after.rows, 2)[:m] / h
+            change = inertia @ (after.velocities - start)[:m] / h
+            needed = np.where(rests, change - torque + bias - pushes, 0.0)
+            excess = np.maximum(np.abs(needed) / np.where(rests, largest, 1.0) - 1.0, 0.0)
+            turned = (self._slides * after.velocities[:m] < 0.0) & ~rests
+            if not (turned.any() or excess.max() > _SLACK):
+                break
+            i = int(np.argmax(np.where(turned, np.inf, excess)))
+            self._slides[i] = 0.0 if turned[i] else -np.sign(needed[i])
+        return after
+
+    def _within_limits(
+        self, h: float, now: Motion, hand: RawDynamics, torque: Array, wrench: Array
+    ) -> Motion:
         """Return a step in which no joint passes a limit.
 
         At a limit is a stop, whose impulse acts on its joint alone and dissipates energy. If a
         joint would pass it, the step is repeated with that joint at rest, by a huge inertia. A
         later step may leave the stop.
         """
-        now, m = self._now, self.hand.joints
         lower, upper = self.hand.position_limits
-        stopped = np.zeros(m, dtype=np.bool_)
+        stopped = np.zeros(self.hand.joints, dtype=np.bool_)
         while True:
-            after = step(h, now, self._world, self.friction, hand, self._acting, wrench)
+            after = step(h, now, self._world, self.friction, hand, torque, wrench)
             passed = ((after.theta > upper) & (after.theta > now.theta)) | (
                 (after.theta < lower) & (after.theta < now.theta)
             )
@@ -294,13 +329,7 @@ class Plant:
             if not passed.any():
                 return after
             stopped |= passed
-            inertia, v = mirrored(hand.inertia), now.velocities
-            back = np.linalg.inv(inertia)[:, passed]
-            impulse = np.linalg.solve(back[passed], v[:m][passed])
-            now = now._replace(velocities=np.concatenate([v[:m] - back @ impulse, v[m:]]))
-            inertia[passed, passed] += _ENDLESS * inertia.diagonal().max()
-            # In Pinocchio's order: for another, `step` would be compiled again, for many seconds.
-            hand = hand._replace(inertia=np.asfortranarray(inertia))
+            now, hand = at_rest(now, hand, passed)
 
     def _turn_palm(self, time: float) -> Turning | None:
         """Turn gravity with the palm at a time, s; return its motion, None if it never turns."""

@@ -17,7 +17,7 @@ from tactile_hand_ros.cli import main
 from tactile_hand_ros.command_line import run_command
 from tactile_hand_ros.config.paths import scenario_names
 from tactile_hand_ros.hand.hand import Hand
-from tactile_hand_ros.report.hand import example_posture
+from tactile_hand_ros.report.hand import example_posture, notes
 from tactile_hand_ros.ros.processes import wait_until
 from tactile_hand_ros.scenario.scenario import load_scenario, resolved
 
@@ -70,7 +70,30 @@ def test_a_hand_is_printed_with_its_couplings_and_strength_and_drawn(tmp_path, c
     levers = np.linalg.norm(tips[1:] - tips[0], axis=1) / 1e-6
     assert [row[6] for row in rows if row[1:2] == ["f2"]] == [f"{30.0 / levers.max():.2g}"]
     assert (tmp_path / "hand.png").is_file()
+    assert "without collision shapes of links" in printed and "damping" not in printed
     assert "is not a link of" in refused(capsys, "hand", broken_palm(path))
+    assert "give a YAML file such as `{urdf: hand.urdf, palm: LINK" in refused(
+        capsys, "hand", tmp_path / "hand.urdf"
+    )
+
+
+def test_notes_name_what_a_hand_file_states_and_what_becomes_of_it(tmp_path):
+    path = write_hand(tmp_path, [3, 3, 3], limits={"f2_joint_1": {"effort": 1000.0}})
+    axes = (tmp_path / "hand.urdf").read_text().split("<axis")
+    some = [f'<dynamics damping="0.5" friction="{i}"/><axis{part}' for i, part in enumerate(axes)]
+    (tmp_path / "hand.urdf").write_text(
+        axes[0] + "".join(some[1:]).replace('effort="30"', 'effort="9"')
+    )
+    damping, friction, endless, _ = notes(Hand.load(str(path)))
+    assert (
+        damping.startswith("damping: the file states 0.5 to 0.5 N m s/rad") and "ignores" in damping
+    )
+    assert friction.startswith("friction: the file states 1 to 9 N m, which the simulation ignores")
+    assert endless.startswith("f2_joint_1: the file states no torque limit")
+    path.write_text(path.read_text() + "joint_losses: file\n")
+    damping, friction, stuck, *_ = notes(Hand.load(str(path)))
+    assert "uses" in damping and "uses" in friction
+    assert stuck == "f3_joint_3: friction is above the largest torque; nothing moves"
 
 
 def broken_palm(path: Path) -> Path:

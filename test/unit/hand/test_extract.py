@@ -97,6 +97,37 @@ def test_limits_of_the_yaml_win(tmp_path):
         changed(tmp_path / "hand.yaml", limits={"elbow": {"effort": 1.0}})
 
 
+@pytest.mark.parametrize(
+    ("old", "new", "wrong"),
+    [
+        ('effort="30"', 'effort="0"', "an effort of 0"),
+        ('effort="30" velocity="20"', "", "no effort and no velocity"),
+        (
+            '<limit lower="-3" upper="3" effort="30" velocity="20"/>',
+            "",
+            "no effort and no velocity",
+        ),
+    ],
+)
+def test_limits_that_the_urdf_lacks_come_from_the_yaml(tmp_path, old, new, wrong):
+    """Joints that are locked or cut off need none."""
+    path = write_hand(tmp_path, [3, 3, 3])
+    nail = '<link name="nail"/>' + joint("n", "f2_tip", "nail").replace('effort="1"', 'effort="0"')
+    with pytest.raises(HandModelError, match=f"joint 'f1_joint_1': <limit> has {wrong}, expected"):
+        changed(path, (old, new), ("</robot>", nail + "</robot>"))
+    limits = {"lower": -1.0, "upper": 2.0, "effort": 0.5, "velocity": 4.0}
+    hand = changed(path, limits={"f1_joint_1": limits})
+    assert (hand.effort_limits[0], hand.velocity_limits[0]) == (0.5, 4.0)
+
+
+def test_the_torque_of_a_joint_that_follows_does_not_count(tmp_path):
+    path = write_hand(tmp_path, [4, 3, 3], couplings={"f1_joint_4": COUPLED["f1_joint_4"]})
+    before, after = (tmp_path / "hand.urdf").read_text().split('<joint name="f1_joint_4"')
+    after = after.replace('effort="30"', 'effort="0"', 1)
+    (tmp_path / "hand.urdf").write_text(f'{before}<joint name="f1_joint_4"{after}')
+    assert Hand.load(str(path)).joints == 9
+
+
 def test_a_joint_that_turns_without_end_has_a_turn_each_way(tmp_path):
     path = write_hand(tmp_path, [3, 3, 3])
     hand = changed(

@@ -52,8 +52,11 @@ TREE = chain("ab", ["revolute"] * 2, LIMIT.format(0.0))
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ('effort="2"', 'effort="0"', "joint 'a': limit effort is 0, expected a torque or force"),
-        (LIMIT.format(0.0), "", "joint 'a': <limit> lacks effort and velocity"),
+        (
+            LIMIT.format(0.0),
+            '<dynamics friction="-1"/>',
+            "joint 'a': friction is -1, expected none",
+        ),
         ('<parent link="l0"/>', "", "joint 'a': its parent is '', expected a link"),
         ('<child link="l1"/>', '<child link="x"/>', "joint 'a': its child is 'x', expected a link"),
         ('<child link="l2"/>', '<child link="l1"/>', "joint 'b': link 'l1' has another parent too"),

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Grasps that a search finds are grasps: of shipped hands, mixed hands, coupled ones, any box."""
 
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,7 @@ from support.hands import write_hand
 from tactile_hand_ros.cli import main
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
 from tactile_hand_ros.control.contact import in_palm, joint_torques
-from tactile_hand_ros.control.grasp import wrench_forces
+from tactile_hand_ros.control.grasp import check_joints, wrench_forces
 from tactile_hand_ros.control.optimizer.force_optimizer import ForceOptimizer, ForceOptimizerConfig
 from tactile_hand_ros.errors import GraspError
 from tactile_hand_ros.hand.hand import Hand
@@ -60,7 +61,7 @@ def test_what_is_found_touches_one_face_and_the_opposite_and_can_bear_its_load(
     name = hand_file(tmp_path, joints, **more)
     hand = Hand.load(name, gravity=DOWN)
     best, *others = search(hand, body_of(size))
-    worth = [grasp.load * min(1.0, 4.0 * grasp.room) for grasp in (best, *others)]
+    worth = [g.load * g.press * min(1.0, 4.0 * g.room) for g in (best, *others)]
     assert worth == sorted(worth, reverse=True)
     plant = Plant(scenario(tmp_path, scenario_values(name, body_of(size), best)).plant)
     assert np.abs(plant.state.gaps).max() < 2e-4 and plant.state.contacts.all_touching
@@ -112,6 +113,36 @@ def test_a_found_grasp_holds_at_the_first_try_and_bears_a_pull(tmp_path, shape, 
     assert np.isfinite(record.true_positions).all() and record.true_slid[-1].max() < 1e-3
 
 
+def test_two_fingers_hold_a_box_through_its_center(tmp_path):
+    """They resist no turn about the line between them, so a box beside it would swing."""
+    hand = Hand.load(str(write_hand(tmp_path, [2, 2])), gravity=DOWN)
+    best = search(hand, body_of((0.2, 0.15, 0.3)))[0]
+    one, other = best.contacts.positions - best.position
+    along = (one - other) / np.linalg.norm(one - other)
+    assert np.linalg.norm(np.cross(one, along)) < 2e-3
+
+
+def test_a_grasp_whose_fingers_can_press_along_the_normals_comes_first(tmp_path, monkeypatch):
+    """Fingers of two joints meet a ball also where they can hardly press it."""
+    monkeypatch.setattr(grasp_search, "STARTS", 40)
+    hand = Hand.load(str(write_hand(tmp_path, [3, 2, 2])), gravity=DOWN)
+    found = search(hand, body_of((0.2, 0.2, 0.2), "sphere"))
+    worth = [grasp.load * grasp.press * min(1.0, 4.0 * grasp.room) for grasp in found]
+    assert worth == sorted(worth, reverse=True) and min(grasp.press for grasp in found) < 0.9
+    best = found[0]
+    tips = hand.fingertips(best.theta).linear
+    for jacobian, normal in zip(tips, best.contacts.normals, strict=True):
+        speed = np.linalg.lstsq(jacobian, normal, rcond=1e-3)[0]
+        assert np.linalg.norm(jacobian @ speed) >= best.press - 1e-6
+
+
+def test_a_straight_hand_is_no_grasp(monkeypatch):
+    """It would be refused when the run starts."""
+    monkeypatch.setattr(grasp_search, "check_joints", partial(check_joints, minimum=1.0))
+    with pytest.raises(GraspError, match="most often contacts are on one line, or the hand is sin"):
+        search(Hand.load("human", gravity=DOWN), body_of((0.04, 0.04, 0.04)))
+
+
 def test_without_a_grasp_it_says_why():
     hand = Hand.load("human", gravity=DOWN)
     with pytest.raises(GraspError, match="box of 500 x 500 x 500 mm .* does not reach its side"):
@@ -122,6 +153,7 @@ def test_the_command_writes_a_scenario_that_can_run_and_a_picture(tmp_path, caps
     assert main(["grasp", "human", "0.04", "--out", str(tmp_path)]) == 0
     printed = capsys.readouterr().out
     file = tmp_path / "human_40mm.yaml"
+    assert "with 0.2 kg, it bears pulls of up to " in printed
     assert f"next: tactile-hand run {file}" in printed and Path(file).with_suffix(".png").is_file()
     record = ClosedLoop(load_scenario(str(file), {"duration": 0.2})).run()
     assert np.isfinite(record.true_positions).all()

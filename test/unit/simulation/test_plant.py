@@ -3,9 +3,11 @@
 
 import numpy as np
 import pytest
+from support.hands import posture_for, write_hand
 from support.plants import energy_of, momentum, plant
 
 from tactile_hand_ros.errors import ConfigurationError, DivergedError, ObjectModelError
+from tactile_hand_ros.hand.hand import Hand
 from tactile_hand_ros.scenario.scenario import load_scenario
 from tactile_hand_ros.simulation import plant as plant_module
 from tactile_hand_ros.simulation.contact_step import TOUCH
@@ -183,6 +185,25 @@ def test_small_gaps_are_closed_and_large_ones_left():
     np.testing.assert_array_equal(far.contacts.touching, [False, False, True])
     np.testing.assert_allclose(far.gaps[:2], 0.0102, atol=1e-3)
     assert np.isnan(far.contacts.positions[0]).all() and np.isnan(far.contacts.rotations[0]).all()
+
+
+def test_fingers_that_bend_in_a_plane_close_a_gap_beside_it(tmp_path):
+    """Two joints move a tip along a normal that is 69 degrees off their plane."""
+    path = write_hand(tmp_path, [2, 2])
+    tips = np.array([[0.0215, 0.0, 0.35], [-0.0215, 0.0, 0.35]])
+    theta = posture_for(Hand.load(str(path)), tips)
+    middle = np.array([0.0, 0.056, 0.35])
+    radius = np.linalg.norm(tips[0] - middle) - 0.02 - 3e-4
+    ball = {"object__shape": "sphere", "object__size": [2.0 * radius] * 3}
+    made = plant(
+        hand=str(path),
+        layout="",
+        initial_joints=theta.tolist(),
+        object__position=tuple(middle),
+        **ball,
+    )
+    assert made.state.contacts.all_touching and np.abs(made.state.gaps).max() < 1e-9
+    assert np.abs(made.state.theta - theta).max() > 1e-3
 
 
 def test_an_object_that_does_not_fit_is_refused():
