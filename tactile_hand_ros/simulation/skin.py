@@ -6,7 +6,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -102,6 +102,9 @@ class TactileSensorConfig(Config):
     dropout: float = param(
         0.0, "chance of a repeated sample, per finger", live=True, ge=0.0, le=1.0
     )
+    axes: Literal["all", "normal"] = param(
+        "all", "components of a force that it measures; the others are NaN"
+    )
     seed: int = param(1, "seed of everything random", ge=0)
 
 
@@ -112,7 +115,7 @@ class TactileReading:
     Attributes:
         positions: Contact points in the palm frame, shape (k, 3), m; NaN without a contact.
         quaternions: Contact frames C_i in the palm frame (x, y, z, w), shape (k, 4).
-        forces: Forces on the object in C_i, shape (k, 3), N.
+        forces: Forces on the object in C_i, shape (k, 3), N; NaN where a skin does not measure.
     """
 
     positions: Array
@@ -257,7 +260,9 @@ class TactileSensor:
             lost = (draws < self.config.dropout)[:, None]
             before = last.positions, last.quaternions, last.forces
             merged = (np.where(lost, *pair) for pair in zip(before, measured, strict=True))
-            return TactileReading(*merged)
+            measured = tuple(merged)
+        if self.config.axes == "normal":
+            measured[2][:, ::2] = np.nan
         return TactileReading(*measured)
 
 
