@@ -9,12 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_hand_ros.control.contact import hand_jacobian
+from tactile_hand_ros.control.controller import NO_POSES
 from tactile_hand_ros.control.grasp import VirtualFrame, check_joints, check_spread
 from tactile_hand_ros.control.holds import largest_damping, largest_stiffness
 from tactile_hand_ros.control.laws import LAWS, AuxiliaryPose, LawConfig, LawInput, law_of
 from tactile_hand_ros.control.optimizer.force_optimizer import ForceOptimizer
 from tactile_hand_ros.control.reach import check_reach
-from tactile_hand_ros.errors import ConfigurationError, GraspError, TactileHandError
+from tactile_hand_ros.errors import ConfigurationError, GraspError, PoseError, TactileHandError
 from tactile_hand_ros.hand.hand import Hand
 from tactile_hand_ros.scenario.link_collisions import LinkCollisions
 from tactile_hand_ros.scenario.scenario import Scenario
@@ -53,10 +54,10 @@ def check_scenario(scenario: Scenario) -> None:
         )
     contacts, law = state.contacts, scenario.manipulation_controller.law
     _check_posture(hand, state.theta)
-    is_enough = contacts.enough_touching and law.name == "optimal"
+    is_enough = contacts.enough_touching and law.uses_optimal_forces
     if not (contacts.all_touching or is_enough):
         i = int(np.flatnonzero(~contacts.touching)[0])
-        needed = "at least three" if law.name == "optimal" else "all"
+        needed = "at least three" if law.uses_optimal_forces else "all"
         raise GraspError(
             f"{hand.finger_names[i]} starts {1e3 * state.gaps[i]:.1f} mm away from the object; "
             f"{needed} fingers must touch: change initial_joints, the layout, or the object's size "
@@ -108,13 +109,23 @@ def _check_posture(hand: Hand, theta: NDArray[np.float64]) -> None:
 
 
 def _check_mode(scenario: Scenario) -> None:
-    """Reject slip prevention with the baselines (8) and (10).
+    """Reject laws that need what the skin does not measure, and pose targets of a grip.
 
-    They press toward the centroid with k_f times a distance, so the newtons required by the
-    regulator would be misread as newtons per meter.
+    Also reject slip prevention with the baselines (8) and (10): they press toward the centroid with
+    k_f times a distance, so the newtons required by the regulator would be misread as newtons per
+    meter.
     """
-    name, mode = scenario.manipulation_controller.law.name, scenario.slip_regulator.mode
-    if name in LAWS and name != "optimal" and mode != "user":
+    law, mode = scenario.manipulation_controller.law, scenario.slip_regulator.mode
+    name = law.name
+    if scenario.tactile_sensor.axes == "normal" and name != "grip":
+        raise ConfigurationError(
+            f"the law '{name}' and its slip prevention need forces in three axes, but "
+            "tactile_sensor.axes is normal; set manipulation_controller.law.name to grip",
+            place="manipulation_controller.law.name",
+        )
+    if name == "grip" and scenario.targets:
+        raise PoseError(NO_POSES)
+    if name in LAWS and not law.uses_optimal_forces and mode != "user":
         raise ConfigurationError(
             f"the law '{name}' multiplies the grasp force by a distance, so slip prevention "
             f"would apply a different force than it computes; set slip_regulator.mode to user "

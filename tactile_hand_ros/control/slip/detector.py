@@ -165,7 +165,7 @@ class SlipDetector:
             fresh: Whether the forces are new samples, shape (k,); repeated ones do not count.
             dt: Time since the last tick, s.
             freedoms: Components of a force that are tested: 2 across the internal force, or 1 for
-                forces along their normals, which must have no internal directions.
+                normal forces, which must have no internal directions.
         """
         _watch(self._memory, self._config, forces, normals, internal, fresh, dt, freedoms)
         return self.state
