@@ -437,7 +437,9 @@ class Controller:
         passed = 0.0 if self.joints_held else dt
         shown = optimal_forces[:, 1], forces[:, 1]
         limit = c.law.integral.force_limit
-        return self._pressing.step(grasp_force, *shown, limit, passed, age)
+        crush = c.grasp_force_limit if c.grasp_force_limit > 0.0 else math.inf
+        ends = -min(limit, grasp_force), min(limit, crush - grasp_force)
+        return self._pressing.step(grasp_force, *shown, *ends, passed, age)
 
     def _follow_touch(self, touching: NDArray[np.bool_]) -> None:
         """Hold with the fingers in a mask of shape (k,); the torque of the law does not jump."""

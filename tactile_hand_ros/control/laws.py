@@ -477,7 +477,8 @@ class NormalForceControl:
         grasp_force: float,
         shares: Array,
         normal: Array,
-        limit: float,
+        least: float,
+        most: float,
         dt: float,
         age: float,
     ) -> float:
@@ -487,7 +488,8 @@ class NormalForceControl:
             grasp_force: k_f, N.
             shares: f*_n, shape (k,).
             normal: Measured normal forces n, shape (k,), N.
-            limit: Largest |c|, N, since a dead skin would never show the wanted force.
+            least: Smallest c, N.
+            most: Largest c, N, since a dead skin never shows the wanted force.
             dt: Time since the last step, s.
             age: d, s.
         """
@@ -495,7 +497,7 @@ class NormalForceControl:
         missing = (grasp_force - normal[pressing] / shares[pressing]).max(initial=-math.inf)
         if math.isfinite(missing):
             raised = self.correction + _GRIP_PHASE / age * dt * float(missing)
-            self.correction = min(max(raised, -limit, -grasp_force), limit)
+            self.correction = min(max(raised, least), most)
         return grasp_force + self.correction
 
 
