@@ -459,10 +459,10 @@ class NormalForceControl:
     their internal part can be chosen. This is the one at which no finger presses with less than its
     part of k_f.
 
-    In a posture that springs of stiffness k_j hold, contacts of stiffness k_c receive the fraction
-    k_c / (k_c + k_j) of a change of c. It is at most 1, so the loop gain is at most g, whatever the
-    object. With an age d of the measured forces and of the torques, g = 0.25 / d leaves 76 of 90
-    degrees of phase.
+    Where springs of stiffness k_j keep the posture, contacts of stiffness k_c receive the fraction
+    k_c / (k_c + k_j) of a change of c. It is at most 1 for any object of one stiffness, and below
+    1.5 with contacts of 100 N/m and 1 MN/m on one hand. With an age d of forces and torques,
+    g = 0.25 / d is a sixth of the gain at which a loop with the fraction 1 oscillates.
 
     Attributes:
         correction: c, N.
