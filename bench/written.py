@@ -68,7 +68,9 @@ class TickMessages:
         self._slip, self._grips = JointCodec(fingers, ("position", "velocity")), JointCodec(fingers)
         self._contacts, self._pose = ContactsCodec(len(fingers)), PoseCodec()
         self._grasp_force = WrenchCodec(names.PALM_FRAME)
-        self._forces = [WrenchCodec(names.contact_frame(name)) for name in fingers]
+        self._forces = [
+            WrenchCodec(names.contact_frame(name), normal_allowed=True) for name in fingers
+        ]
         self._optimal = [
             WrenchCodec(names.contact_frame(name), nan_allowed=True) for name in fingers
         ]

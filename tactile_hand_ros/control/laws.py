@@ -503,9 +503,9 @@ class NormalForceControl:
 
 LAWS: dict[str, LawFactory] = {
     "optimal": OptimalLaw,
-    "grip": OptimalLaw,  # with the posture and the correction of the controller
     "contact": ContactLaw,
     "kawamura": KawamuraLaw,
+    "grip": OptimalLaw,  # with the posture and the correction of the controller
 }
 
 OWN_LAWS: dict[tuple[str, str], LawFactory] = {}
