@@ -255,15 +255,16 @@ class TactileSensor:
         speeds = self._at_rest if sliding is None else sliding
         numbers, radii = self._numbers, self._radii
         measured = _measured(self._memory, numbers, radii, *touch, speeds, white, elapsed)
+        reading = TactileReading(*measured)
         last = self._waiting[-1][1] if self._waiting else self._held
         if last is not None and self.config.dropout > 0.0:
             lost = (draws < self.config.dropout)[:, None]
             before = last.positions, last.quaternions, last.forces
             merged = (np.where(lost, *pair) for pair in zip(before, measured, strict=True))
-            measured = tuple(merged)
+            reading = TactileReading(*merged)
         if self.config.axes == "normal":
-            measured[2][:, ::2] = np.nan
-        return TactileReading(*measured)
+            reading.forces[:, ::2] = np.nan
+        return reading
 
 
 @compiled
