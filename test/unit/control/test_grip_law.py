@@ -64,7 +64,7 @@ def test_it_presses_harder_until_no_finger_lacks_its_part(limit, crush, most):
 
 
 def test_its_integral_carries_a_load_by_motions_that_keep_the_contacts():
-    bench = gripping(law__integral__time=0.1)
+    bench = gripping(law__integral__time=0.1, law__integral__torque_limit=10.0)
     hand = bench.controller.hand
     free = kept_contacts(hand, bench.theta, bench.contacts)
     jacobian = hand_jacobian(*hand.fingertips(bench.theta), bench.contacts.positions)
@@ -79,7 +79,7 @@ def test_its_integral_carries_a_load_by_motions_that_keep_the_contacts():
     np.testing.assert_allclose(found, -free @ bench.stiffness(theta) @ free @ AWAY, atol=1e-9)
     most = bench.step(5000, forces=normal(bench), theta=theta)
     spring = pressing(bench, 10.0, theta) - bench.stiffness(theta) @ AWAY
-    assert np.abs(most.torque - spring).max() == pytest.approx(0.5)  # integral.torque_limit
+    assert np.abs(most.torque - spring).max() == pytest.approx(10.0)
     held = bench.step(theta=theta, contacts=bench.without_finger(0)).torque
     np.testing.assert_allclose(held, most.torque, atol=1e-9)
 
