@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from tactile_hand_ros import names
 from tactile_hand_ros.cdr import Layout, Table, tables
+from tactile_hand_ros.control.contact import known_part
 from tactile_hand_ros.control.grasp import required_friction
 from tactile_hand_ros.errors import BagError, MessageError
 from tactile_hand_ros.rotations import rotation_from_quaternion
@@ -234,7 +235,7 @@ class Picture:
             at[names.OBJECT_POSE],
             np.linalg.norm(desired[:, :3] - pose[:, :3], axis=1, keepdims=True),
             _rotation_errors(desired[:, 3:], pose[:, 3:])[:, None],
-            forces.reshape(n, -1),
+            known_part(forces).reshape(n, -1),
             grasp_force[:, None] * np.stack(wanted, axis=1),
             np.where(touching, required_friction(forces), np.nan),
             at[names.GRIP_STATE],

@@ -181,6 +181,15 @@ def in_palm(rotations: Array, forces: Array, scale: float) -> Array:
     return out
 
 
+def known_part(forces: Array) -> Array:
+    """Return forces to draw: unknown tangential components, NaN, are left out.
+
+    Args:
+        forces: In contact frames, shape (..., 3), N.
+    """
+    return np.where(np.isnan(forces) & np.isfinite(forces[..., 1:2]), 0.0, forces)
+
+
 @compiled
 def joint_torques(
     centers: Array, linear: Array, angular: Array, points: Array, forces: Array

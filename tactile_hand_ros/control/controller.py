@@ -17,6 +17,7 @@ from tactile_hand_ros.control.holds import (
     JointRates,
     bearable_fraction,
     fitted_gains,
+    kept_contacts,
     motions_of_object,
     required_bandwidth,
     spring,
@@ -27,6 +28,7 @@ from tactile_hand_ros.control.laws import (
     LawConfig,
     LawTorque,
     ManipulationLaw,
+    NormalForceControl,
     Target,
 )
 from tactile_hand_ros.control.plausibility import InputCheck, Tolerances, implausible_shape
@@ -43,6 +45,12 @@ _LONGEST_GAP = 0.05  # s; after a longer pause a tick integrates and moves no mo
 _SHORTEST_LEVER = 1e-6  # m, far below any hand's; keeps the linear system regular
 _MOVES_UNTIL = 0.8  # fraction of the limit of k_f at which a move stops, before the load grows
 _LONGEST_PERIOD = 0.01  # s between ticks, assumed before the second tick
+
+NO_POSES = (
+    "the law 'grip' keeps its posture and moves no object, since normal forces do not show a load; "
+    "use the law optimal with a skin that measures three axes"
+)
+"""Why the law `grip` rejects desired poses."""
 
 FEWEST_MOTIONS = 3
 """Directions in which joints must move the object so that its pose can be controlled."""
@@ -219,7 +227,7 @@ class Controller:
         self.enabled = True
         self.joints_held = False
         self._palm: Array | None = None  # rotation in the world by the imu
-        self.targets = TargetQueue(self.hand)
+        self.targets = TargetQueue(self.hand, NO_POSES if config.law.name == "grip" else "")
         self.reset()
 
     def configure(self, config: ControllerConfig) -> None:
@@ -257,7 +265,8 @@ class Controller:
 
     def _new_grasp(self) -> None:
         self.warning, self._fitted_to, self._fitted_fingers = "", 0.0, 0
-        self._keeps_posture = False
+        self._keeps_posture, self._pressing = False, NormalForceControl()
+        self._carried = np.zeros(self.hand.joints)  # by the integral of law `grip`, N m
         # Bandwidth that a hold needs per root of k_f, and its bandwidth, rad/s.
         self._required: tuple[float, float] | None = None
 
@@ -272,7 +281,8 @@ class Controller:
         self._mode, self._last_torque = mode, None
         if mode is not Mode.DRIVE:
             self._reference.reset()
-            self._posture = theta.copy()
+            if not (self._keeps_posture and mode is Mode.HOLD):  # it carries the load by its spring
+                self._posture = theta.copy()
         if mode in (Mode.OPEN, Mode.DISABLED):
             self._accept_inputs()
             self._held = Held(self._none, self._none)
@@ -364,7 +374,7 @@ class Controller:
             if not self._regrasped(contacts):
                 return self._open(theta, rates, contacts, dt)
             dt = 0.0  # no time has passed in the new grasp
-        problem = self._missing(contacts, optimal_forces, grasp_force)
+        problem = self._missing(contacts, optimal_forces, grasp_force) or self._unmeasured(forces)
         if problem:
             self._inputs.start_grasp()
             return self._holding(theta, rates, problem, grasp_force, applied)
@@ -414,17 +424,32 @@ class Controller:
         Raises:
             GraspError: If they are not finite.
         """
-        touch = now.contacts, now.optimal_forces, now.grasp_force
+        pressed = self._pressed(now.optimal_forces, now.grasp_force, now.forces, now.elapsed)
+        touch = now.contacts, now.optimal_forces, pressed
         parts = self._law.step(tips, now.rates, *touch, wanted, pose, now.elapsed, now.forces)
         if self._keeps_posture:
-            held = self._spring(now.theta, now.rates)
-            parts = parts._replace(drive=held, damping=np.zeros(len(held)))
+            parts = self._keeping(parts, now.theta, now.rates, now.elapsed)
         total = parts.total
         # One check for all torques: the square overflows only beyond those of any joint.
         if not math.isfinite(total.dot(total)):
             self._law.reset()
             raise GraspError(_NOT_FINITE)
         return parts
+
+    def _pressed(
+        self, optimal_forces: Array, grasp_force: float, forces: Array | None, dt: float
+    ) -> float:
+        """Return the k_f to press with, N: for the law `grip` that which the skin measures."""
+        c = self.config
+        if c.law.name != "grip" or forces is None:
+            return grasp_force
+        age = c.touch_latency + (0.5 + c.command_delay) * self._period
+        passed = 0.0 if self.joints_held else dt
+        shown = optimal_forces[:, 1], forces[:, 1]
+        limit = c.law.integral.force_limit
+        crush = c.grasp_force_limit if c.grasp_force_limit > 0.0 else math.inf
+        ends = -min(limit, grasp_force), min(limit, crush - grasp_force)
+        return self._pressing.step(grasp_force, *shown, *ends, passed, age)
 
     def _follow_touch(self, touching: NDArray[np.bool_]) -> None:
         """Hold with the fingers in a mask of shape (k,); the torque of the law does not jump."""
@@ -559,6 +584,22 @@ class Controller:
         inertia = self.hand.dynamics(theta, rates).inertia
         return spring(inertia, self._stiffest(inertia), self._posture - theta, -rates)
 
+    def _keeping(self, parts: LawTorque, theta: Array, rates: Array, dt: float) -> LawTorque:
+        """Replace drive and damping of a law by the spring that keeps the posture.
+
+        For the law `grip` an integral of the spring carries the load, in motions that keep the
+        contacts: they do not change the grasp force, which the normal forces control.
+        """
+        inertia, c = self.hand.dynamics(theta, rates).inertia, self.config.law
+        w, away, still = self._stiffest(inertia), self._posture - theta, np.zeros(len(theta))
+        if c.name == "grip" and c.integral.time > 0.0 and not self.joints_held:
+            pulled = spring(inertia, w, self._free @ away, still)
+            carried = self._carried + dt / c.integral.time * (self._free @ pulled)
+            self._carried = np.clip(carried, -c.integral.torque_limit, c.integral.torque_limit)
+        load = parts.load_compensation + self._carried
+        held = spring(inertia, w, away, -rates)
+        return parts._replace(drive=held, damping=still, load_compensation=load)
+
     def _stiffest(self, inertia: Array) -> float:
         """Return the bandwidth of the hold, rad/s."""
         c = self.config.hold
@@ -573,12 +614,17 @@ class Controller:
 
         This takes milliseconds, so a finger that loses and regains contact does not repeat it.
         """
-        fingers, c = self._fingers.fingers, self.config
+        fingers, c, contacts = self._fingers.fingers, self.config, now.contacts
+        if c.law.name == "grip":
+            if not self._keeps_posture or fingers != self._fitted_fingers:
+                self._keeps_posture, self._posture = True, now.theta.copy()
+                self._fitted_fingers = fingers
+                self._free = kept_contacts(self._fingers, now.theta, contacts)
+            return
         known = self._fitted_to == self._period and fingers <= self._fitted_fingers
         if self._law.fits or known:
             return
         self._fitted_to, self._fitted_fingers = self._period, fingers
-        contacts = now.contacts
         forces = contacts.centroid - contacts.positions  # of law (10), a guess for other laws
         if c.law.name == "optimal":
             forces = in_palm(contacts.rotations, now.optimal_forces, 1.0)
@@ -590,7 +636,7 @@ class Controller:
 
     def _judge_hold(self, now: _Tick) -> None:
         """Warn once per grasp if a hold could not keep it at this tick rate."""
-        if self.config.law.name != "optimal" or self.warning:
+        if not self.config.law.uses_optimal_forces or self.warning:
             return
         if self._required is None:
             forces = in_palm(now.contacts.rotations, now.optimal_forces, 1.0)
@@ -612,7 +658,7 @@ class Controller:
         if 0.0 < c.grasp_force_limit < grasp_force:
             limit = f"grasp_force_limit = {c.grasp_force_limit:g} N"
             return f"k_f = {grasp_force:.3g} N is above {limit}; holding until it is not"
-        return implausible_shape(optimal_forces) if c.law.name == "optimal" else ""
+        return implausible_shape(optimal_forces) if c.law.uses_optimal_forces else ""
 
     def _reject_inputs(
         self, stamp: int, theta: Array, rates: Array, reason: str, applied: Array | None
@@ -652,7 +698,7 @@ class Controller:
         return True
 
     def _enough(self, contacts: Contacts) -> bool:
-        if self.config.law.name == "optimal":
+        if self.config.law.uses_optimal_forces:
             return contacts.enough_touching
         return contacts.all_touching
 
@@ -677,11 +723,22 @@ class Controller:
         if not self._enough(contacts):
             missing = ", ".join(self.hand.part(~contacts.touching).finger_names)
             return f"no contact at {missing}; holding until they touch again"
-        if self.config.law.name == "optimal" and not all_finite(forces[contacts.touching]):
+        if self.config.law.uses_optimal_forces and not all_finite(forces[contacts.touching]):
             return "no optimal force f*; holding until the optimizer has an answer"
         if not math.isfinite(grasp_force) or grasp_force < 0.0:
             return f"grasp force k_f = {grasp_force} N is unusable; holding the last grasp force"
         return ""
+
+    def _unmeasured(self, forces: Array | None) -> str:
+        """Return why the skin, with forces of shape (k, 3), N, is not one for this law, or ""."""
+        if self.config.law.observer.time == 0.0 or forces is None:
+            return ""
+        if not np.isnan(forces[:, ::2]).any():
+            return ""
+        return (
+            "the skin does not measure tangential forces, which law.observer needs; use the law "
+            "grip with such a skin"
+        )
 
     def _ahead(self, torque: Array, dt: float) -> Array:
         """Extrapolate a torque, shape (m,), N m, by half a period; it is T/2 old on average.

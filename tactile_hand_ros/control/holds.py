@@ -303,6 +303,18 @@ def motions_of_object(hand: Hand, theta: Array, contacts: Contacts) -> int:
     return int(np.linalg.matrix_rank(twists, tol=_INDEPENDENT)) if twists.size else 0
 
 
+def kept_contacts(hand: Hand, theta: Array, contacts: Contacts) -> Array:
+    """Return the projection of joint rates on those that can keep all contacts, shape (m, m).
+
+    Args:
+        hand: The hand.
+        theta: Joint angles, shape (m,), rad.
+        contacts: Contacts with the object; all fingers must touch.
+    """
+    rates = _motions(hand, hand.fingertips(theta), contacts)[: hand.joints]
+    return np.asarray(rates @ np.linalg.pinv(rates, rcond=_INDEPENDENT))
+
+
 def _rates_of_twists(motions: Array) -> Array:
     """Return the joint rates of unit twists in motions of joints and object, shape (m, 6)."""
     return np.asarray(motions[:-6] @ np.linalg.pinv(motions[-6:], rcond=_INDEPENDENT))

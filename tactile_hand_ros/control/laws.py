@@ -1,14 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The manipulation laws: Kawamura's (8), the contact-point law (10) and the proposed law (14)."""
+"""The laws: Kawamura's (8), the contact-point law (10), the proposed law (14), and a mere grip."""
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Callable
 from typing import NamedTuple, Protocol
 
 import numpy as np
-from pydantic import field_validator
+from pydantic import field_validator, model_validator
 
 from tactile_hand_ros.compiled import Array
 from tactile_hand_ros.config.model import Config, param
@@ -28,7 +29,8 @@ class IntegralConfig(Config):
 
     time: float = param(
         0.0,
-        "time in which it adds as much as a fitted gain, 0 for none",
+        "time in which it adds as much as a fitted gain, or as the spring of the law grip, 0 for "
+        "none",
         unit="s",
         live=True,
         ge=0.0,
@@ -44,7 +46,8 @@ class LawConfig(Config):
 
     name: str = param(
         "optimal",
-        "law: optimal is (14), contact is (10), kawamura is (8), or your own as module:Class",
+        "law: optimal is (14), contact is (10), kawamura is (8), grip holds a posture and presses "
+        "by normal forces, or your own as module:Class",
     )
     folder: str = param("", "folder with the module of your own law; empty for PYTHONPATH")
     k_p: float = param(
@@ -71,6 +74,21 @@ class LawConfig(Config):
         hint = nearest(name, list(LAWS))
         expected = f"Expected one of {', '.join(LAWS)}, or module:Class"
         raise ValueError(f"'{name[:60]}' is not a law{hint} {expected}")
+
+    @model_validator(mode="after")
+    def _a_grip_controls_no_pose(self) -> LawConfig:
+        given = self.integral.k_p, self.integral.k_o, self.observer.time
+        if self.name == "grip" and max(self.k_p, self.k_o, self.damping, *given) > 0.0:
+            raise ValueError(
+                "the law 'grip' controls no pose and observes no load: set k_p, k_o, damping, "
+                "integral.k_p, integral.k_o and observer.time to 0"
+            )
+        return self
+
+    @property
+    def uses_optimal_forces(self) -> bool:
+        """Whether it presses by f*, so that three touching fingers are enough."""
+        return self.name in ("optimal", "grip")
 
 
 class AuxiliaryPose(NamedTuple):
@@ -422,10 +440,68 @@ class OptimalLaw(ContactLaw):
         return in_palm(seen.contacts.rotations, seen.optimal_forces, seen.grasp_force)
 
 
+_GRIP_PHASE = 0.25  # rad that the age of touch costs the control of normal forces
+
+
+class NormalForceControl:
+    """Integral action on the normal forces, for the law `grip`.
+
+    Friction in the fingers and errors of the drives keep a part of k_f f* from the object. The law
+    presses with (k_f + c) f*, the internal torques of (14), where
+
+        c' = g max_i (k_f f*_n,i - n_i) / f*_n,i .
+
+    The normal forces n of an object at rest balance with its load, so only the common factor of
+    their internal part can be chosen. This is the one at which no finger presses with less than its
+    part of k_f.
+
+    Where springs of stiffness k_j keep the posture, contacts of stiffness k_c receive the fraction
+    k_c / (k_c + k_j) of a change of c. It is at most 1 for any object of one stiffness, and below
+    1.5 with contacts of 100 N/m and 1 MN/m on one hand. With an age d of forces and torques,
+    g = 0.25 / d is a sixth of the gain at which a loop with the fraction 1 oscillates.
+
+    Attributes:
+        correction: c, N.
+    """
+
+    def __init__(self) -> None:
+        """Start without a correction."""
+        self.correction = 0.0
+
+    def step(
+        self,
+        grasp_force: float,
+        shares: Array,
+        normal: Array,
+        least: float,
+        most: float,
+        dt: float,
+        age: float,
+    ) -> float:
+        """Return k_f + c, N.
+
+        Args:
+            grasp_force: k_f, N.
+            shares: f*_n, shape (k,).
+            normal: Measured normal forces n, shape (k,), N.
+            least: Smallest c, N.
+            most: Largest c, N, since a dead skin never shows the wanted force.
+            dt: Time since the last step, s.
+            age: d, s.
+        """
+        pressing = shares > 0.0
+        missing = (grasp_force - normal[pressing] / shares[pressing]).max(initial=-math.inf)
+        if math.isfinite(missing):
+            raised = self.correction + _GRIP_PHASE / age * dt * float(missing)
+            self.correction = min(max(raised, least), most)
+        return grasp_force + self.correction
+
+
 LAWS: dict[str, LawFactory] = {
     "optimal": OptimalLaw,
     "contact": ContactLaw,
     "kawamura": KawamuraLaw,
+    "grip": OptimalLaw,  # with the posture and the correction of the controller
 }
 
 OWN_LAWS: dict[tuple[str, str], LawFactory] = {}

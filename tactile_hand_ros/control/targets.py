@@ -119,9 +119,9 @@ class TargetQueue:
         dropped: Number of desired poses that were dropped because too many waited.
     """
 
-    def __init__(self, hand: Hand) -> None:
-        """Start without poses for a hand, whose reach decides."""
-        self._hand = hand
+    def __init__(self, hand: Hand, refusal: str = "") -> None:
+        """Start without poses for a hand, whose reach decides; a `refusal` rejects them all."""
+        self._hand, self._refusal = hand, refusal
         self.accepted: Target | None = None
         self.dropped = 0
         self.reset()
@@ -210,6 +210,8 @@ class TargetQueue:
 
         A pose stays in reach of the same grasp. A rejected one may come into reach.
         """
+        if self._refusal:
+            raise PoseError(self._refusal)
         known = self._in_reach
         if known is None or not all(map(np.array_equal, known[:2], target[:2])):
             check_reach(self._hand, *grasp, target)

@@ -67,7 +67,7 @@ class ReadingPublisher:
         """Create the publishers; `wrench_topic` maps a finger's name to the topic of its force."""
         encode = ContactsCodec(len(fingers)).encode
         self._contacts = node.tick_publisher(PoseArray, contacts_topic, encode)
-        self._wrenches = WrenchPublishers(node, fingers, wrench_topic)
+        self._wrenches = WrenchPublishers(node, fingers, wrench_topic, normal_allowed=True)
 
     def publish(self, stamp_ns: int, positions: Array, quaternions: Array, forces: Array) -> None:
         """Publish the reading of a tick [ns]; see `TactileReading`."""
@@ -83,13 +83,12 @@ class WrenchPublishers:
         node: TactileNode[Any],
         fingers: Sequence[str],
         topic: Callable[[str], str],
-        *,
-        nan_allowed: bool = False,
+        **allowed: bool,
     ) -> None:
-        """Create the publishers; `topic` maps a finger's name to its topic."""
+        """Create the publishers; `topic` maps a finger's name to its topic; see `WrenchCodec`."""
         self._publishers = []
         for name in fingers:
-            codec = WrenchCodec(names.contact_frame(name), nan_allowed=nan_allowed)
+            codec = WrenchCodec(names.contact_frame(name), **allowed)
             self._publishers.append(node.tick_publisher(WrenchStamped, topic(name), codec.encode))
 
     def publish(self, stamp_ns: int, forces: Array) -> None:

@@ -105,7 +105,7 @@ class ManipulationControllerNode(TactileNode[ControllerConfig]):
     Subscriptions: `joint_states` (sensor_msgs/JointState, rad and rad/s), `tactile/contacts`
     (geometry_msgs/PoseArray, palm frame, m), `grasp_force` (geometry_msgs/WrenchStamped, k_f in
     force.y, N), `optimal_force/<finger>` (geometry_msgs/WrenchStamped in `<finger>_contact`, f*,
-    dimensionless), with `law.observer.time` > 0 also `tactile/<finger>/wrench`
+    dimensionless), with `law.observer.time` > 0 or the law `grip` also `tactile/<finger>/wrench`
     (geometry_msgs/WrenchStamped in `<finger>_contact`, N), all with the same timestamp;
     `desired_pose` (geometry_msgs/PoseStamped, frame `palm`, m; takes effect at the tick in its
     timestamp, immediately if that is past or 0).
@@ -169,7 +169,8 @@ class ManipulationControllerNode(TactileNode[ControllerConfig]):
         self._rejection.publish(Bool(data=False))
         self._was_rejected = False
         c = self.config  # with an imu, so that the inputs keep their order
-        self._takes_forces = composed or c.law.observer.time > 0.0 or c.imu
+        is_grip = c.law.name == "grip"
+        self._takes_forces = composed or c.law.observer.time > 0.0 or c.imu or is_grip
         self.create_service(Trigger, names.RESET, self._on_reset)
         self.create_service(SetBool, names.ENABLE, self._on_enable)
         self.create_service(SetBool, names.GRASP, self._on_grasp)

@@ -25,6 +25,7 @@ from tactile_hand_ros import names
 from tactile_hand_ros.compiled import Array
 from tactile_hand_ros.config.hand_config import load_hand_config
 from tactile_hand_ros.config.model import Config, param
+from tactile_hand_ros.control.contact import known_part
 from tactile_hand_ros.errors import MessageError
 from tactile_hand_ros.ros import qos
 from tactile_hand_ros.ros.endpoints import subscribe_directly, take_latest
@@ -100,7 +101,7 @@ class ViewerNode(TactileNode[ViewerConfig]):
         self._listen(names.ACCEPTED_POSE, PoseStamped, pose)
         self._listen(names.OBJECT_POSE, PoseStamped, pose)
         for finger in self._fingers:
-            codec = WrenchCodec(names.contact_frame(finger), any_frame=True)
+            codec = WrenchCodec(names.contact_frame(finger), any_frame=True, normal_allowed=True)
             self._listen(names.wrench(finger), WrenchStamped, codec.decode)
         self._markers = self.create_publisher(MarkerArray, MARKERS, qos.user_qos())
         self._tf: Any = None
@@ -156,7 +157,7 @@ class ViewerNode(TactileNode[ViewerConfig]):
         for i, finger in enumerate(self._fingers):
             if names.wrench(finger) in self._taken:
                 _, forces[i] = self._taken[names.wrench(finger)]
-        return forces
+        return known_part(forces)
 
     def _pose(self, topic: str, name: str) -> Frame | None:
         return _known(name, *self._taken[topic][1]) if topic in self._taken else None

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from tactile_hand_ros.closed_loop.record import Record
 from tactile_hand_ros.compiled import Array
+from tactile_hand_ros.control.contact import known_part
 from tactile_hand_ros.report import facts, model
 from tactile_hand_ros.run import derived
 from tactile_hand_ros.run.derived import gaps
@@ -100,7 +101,7 @@ def plot_columns(run: RunData) -> dict[str, Array]:
         "rates": record.rates,
         "position_error": position_error,
         "rotation_error": rotation_error,
-        "force": derived.contact_forces(record),
+        "force": known_part(derived.contact_forces(record)),
         "expected": derived.expected_normal_forces(record),
         "beta": derived.required_friction(record),
         "friction": record.friction,

@@ -10,6 +10,7 @@ import numpy as np
 
 from tactile_hand_ros.closed_loop.record import Record
 from tactile_hand_ros.compiled import Array
+from tactile_hand_ros.control.contact import known_part
 from tactile_hand_ros.extras import optional
 from tactile_hand_ros.hand.hand import Hand
 from tactile_hand_ros.report.style import (
@@ -48,7 +49,8 @@ def grasp_figure(record: Record, scenario: Scenario) -> Figure:
     rows, dropped = (min(1, len(record) - 1), len(record) - 1), dropped_at(record)
     points = np.vstack([point for row in rows for point in _chains(hand, record, row)])
     reach = float(np.linalg.norm(points, axis=1).max())
-    strongest = np.nanmax(np.linalg.norm(contact_forces(record)[list(rows)], axis=2), initial=1e-9)
+    forces = known_part(contact_forces(record)[list(rows)])
+    strongest = np.nanmax(np.linalg.norm(forces, axis=2), initial=1e-9)
     per_newton = _ARROW * reach / float(strongest)
     with look():
         figure = new_figure(PAGE, 3.1, layout="none")
@@ -139,7 +141,7 @@ def _draw_solid(axes: Any, solid: Solid, turn: Array, place: Array) -> None:
 
 def _draw_contacts(axes: Any, record: Record, row: int, reach: float, per_newton: float) -> None:
     """Draw contact frames and forces, the path of their centroid, and its target."""
-    forces = contact_forces(record)[row]
+    forces = known_part(contact_forces(record)[row])
     for i, point in enumerate(record.contact_positions[row]):
         if not np.isfinite(point).all():
             continue

@@ -159,16 +159,24 @@ def _shown(text: str) -> str:
 class WrenchCodec:
     """geometry_msgs/WrenchStamped with a force [N] and no torque."""
 
-    def __init__(self, frame: str, *, nan_allowed: bool = False, any_frame: bool = False) -> None:
+    def __init__(
+        self,
+        frame: str,
+        *,
+        nan_allowed: bool = False,
+        any_frame: bool = False,
+        normal_allowed: bool = False,
+    ) -> None:
         """Create the codec.
 
         Args:
             frame: Frame of written messages, required in read messages.
             nan_allowed: Whether NaN is valid, for "no value", in both directions.
             any_frame: Whether read messages may be in any frame, if only y is used.
+            normal_allowed: Whether x and z may both be NaN, from a skin without them.
         """
         self._frame = None if any_frame else frame
-        self._nan_allowed = nan_allowed
+        self._nan_allowed, self._normal_allowed = nan_allowed, normal_allowed
         self._template = CdrTemplate().text(frame).doubles(6)
         self._force = self._template.finish()[0][:3]
         self._read = ContentReader("geometry_msgs/msg/WrenchStamped")
@@ -182,8 +190,12 @@ class WrenchCodec:
         self._force[:] = force
         x, y, z = force
         if not x * x + y * y + z * z <= _LARGEST_SQUARE:
-            check_output(self._force, nan_allowed=self._nan_allowed)
+            known = self._force[1:2] if self._is_normal(x, z) else self._force
+            check_output(known, nan_allowed=self._nan_allowed)
         return self._template.stamped(stamp_ns)
+
+    def _is_normal(self, x: float, z: float) -> bool:
+        return self._normal_allowed and math.isnan(x) and math.isnan(z)
 
     def decode(self, data: bytes) -> tuple[int, Force]:
         """Return timestamp [ns] and force [N].
@@ -199,7 +211,8 @@ class WrenchCodec:
         if not x * x + y * y + z * z <= _LARGEST_SQUARE:
             if self._nan_allowed and any(map(math.isnan, (x, y, z))):
                 return content.stamp, (math.nan,) * 3
-            _checked_vector((x, y, z), "force")
+            known = (0.0, y, 0.0) if self._is_normal(x, z) else (x, y, z)
+            _checked_vector(known, "force")
         return content.stamp, (x, y, z)
 
     def decode_normal(self, data: bytes) -> tuple[int, float]:

@@ -52,8 +52,8 @@ def contacts(fingers: int) -> Stream:
 
 
 def forces(finger_names: Sequence[str]) -> Stream:
-    """Declare the measured forces; values in contact frames, shape (k, 3), N."""
-    return _wrenches(names.wrench, finger_names, from_driver=True)
+    """Declare the measured forces; in contact frames, (k, 3), N, NaN where a skin has no axis."""
+    return _wrenches(names.wrench, finger_names, normal_allowed=True, from_driver=True)
 
 
 def optimal_forces(finger_names: Sequence[str]) -> Stream:
@@ -98,11 +98,11 @@ def _wrenches(
     topic: Callable[[str], str],
     finger_names: Sequence[str],
     *,
-    nan_allowed: bool = False,
     from_driver: bool = False,
+    **allowed: bool,
 ) -> Stream:
     decoders: dict[str, Decode] = {
-        topic(name): WrenchCodec(names.contact_frame(name), nan_allowed=nan_allowed).decode
+        topic(name): WrenchCodec(names.contact_frame(name), **allowed).decode
         for name in finger_names
     }
     return Stream(WrenchStamped, decoders, True, from_driver)

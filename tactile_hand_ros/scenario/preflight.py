@@ -9,12 +9,13 @@ import numpy as np
 
 from tactile_hand_ros.compiled import Array
 from tactile_hand_ros.control.contact import Contacts, hand_jacobian
+from tactile_hand_ros.control.controller import NO_POSES
 from tactile_hand_ros.control.grasp import VirtualFrame, check_joints, check_spread
 from tactile_hand_ros.control.holds import largest_damping, largest_stiffness
 from tactile_hand_ros.control.laws import LAWS, AuxiliaryPose, LawConfig, LawInput, law_of
 from tactile_hand_ros.control.optimizer.force_optimizer import ForceOptimizer
 from tactile_hand_ros.control.reach import check_reach
-from tactile_hand_ros.errors import ConfigurationError, GraspError, TactileHandError
+from tactile_hand_ros.errors import ConfigurationError, GraspError, PoseError, TactileHandError
 from tactile_hand_ros.hand.hand import Hand
 from tactile_hand_ros.scenario.link_collisions import LinkCollisions
 from tactile_hand_ros.scenario.scenario import Scenario
@@ -42,7 +43,7 @@ def check_scenario(scenario: Scenario) -> None:
     theta, contacts = plant.state.theta, plant.state.contacts
     law = scenario.manipulation_controller.law
     _check_posture(plant.hand, theta)
-    _check_touch(plant, law.name)
+    _check_touch(plant, law)
     hand, contacts = plant.hand.part(contacts.touching), contacts.part(contacts.touching)
     check_spread(contacts.positions)
     tips = hand.fingertips(theta)
@@ -79,11 +80,11 @@ def _warn_of_shapes(scenario: Scenario, plant: Plant) -> None:
         )
 
 
-def _check_touch(plant: Plant, law: str) -> None:
+def _check_touch(plant: Plant, law: LawConfig) -> None:
     """Reject a start with too few contacts for a law."""
     hand, state = plant.hand, plant.state
-    contacts, needed = state.contacts, "at least three" if law == "optimal" else "all"
-    if contacts.all_touching or (contacts.enough_touching and law == "optimal"):
+    contacts, needed = state.contacts, "at least three" if law.uses_optimal_forces else "all"
+    if contacts.all_touching or (contacts.enough_touching and law.uses_optimal_forces):
         return
     i = int(np.flatnonzero(~contacts.touching)[0])
     raise GraspError(
@@ -133,13 +134,23 @@ def _check_posture(hand: Hand, theta: Array) -> None:
 
 
 def _check_mode(scenario: Scenario) -> None:
-    """Reject slip prevention with the baselines (8) and (10).
+    """Reject laws that need what the skin does not measure, and pose targets of a grip.
 
-    They press toward the centroid with k_f times a distance, so the newtons required by the
-    regulator would be misread as newtons per meter.
+    Also reject slip prevention with the baselines (8) and (10): they press toward the centroid with
+    k_f times a distance, so the newtons required by the regulator would be misread as newtons per
+    meter.
     """
-    name, mode = scenario.manipulation_controller.law.name, scenario.slip_regulator.mode
-    if name in LAWS and name != "optimal" and mode != "user":
+    law, mode = scenario.manipulation_controller.law, scenario.slip_regulator.mode
+    name = law.name
+    if scenario.tactile_sensor.axes == "normal" and name != "grip":
+        raise ConfigurationError(
+            f"the law '{name}' and its slip prevention need forces in three axes, but "
+            "tactile_sensor.axes is normal; set manipulation_controller.law.name to grip",
+            place="manipulation_controller.law.name",
+        )
+    if name == "grip" and scenario.targets:
+        raise PoseError(NO_POSES)
+    if name in LAWS and not law.uses_optimal_forces and mode != "user":
         raise ConfigurationError(
             f"the law '{name}' multiplies the grasp force by a distance, so slip prevention "
             f"would apply a different force than it computes; set slip_regulator.mode to user "

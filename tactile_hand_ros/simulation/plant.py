@@ -13,6 +13,7 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tactile_hand_ros.compiled import Array
 from tactile_hand_ros.control.contact import Contacts
@@ -297,7 +298,7 @@ class Plant:
         for _ in range(_TRIALS * m):
             rests = (self._slides == 0.0) & (largest > 0.0)
             torque = self._acting - self._slides * largest
-            after = self._within_limits(h, *at_rest(self._now, hand, rests), torque, wrench)
+            after = self._within_limits(h, *_at_rest(self._now, hand, rests), torque, wrench)
             pushes = np.tensordot(after.impulses, after.rows, 2)[:m] / h
             change = inertia @ (after.velocities - start)[:m] / h
             needed = np.where(rests, change - torque + bias - pushes, 0.0)
@@ -329,7 +330,7 @@ class Plant:
             if not passed.any():
                 return after
             stopped |= passed
-            now, hand = at_rest(now, hand, passed)
+            now, hand = _at_rest(now, hand, passed)
 
     def _turn_palm(self, time: float) -> Turning | None:
         """Turn gravity with the palm at a time, s; return its motion, None if it never turns."""
@@ -384,3 +385,18 @@ class Plant:
         out = self._world.mass * np.eye(6)
         out[3:, 3:] = self._now.rotation @ self._world.inertia @ self._now.rotation.T
         return out
+
+
+def _at_rest(
+    now: Motion, hand: RawDynamics, joints: NDArray[np.bool_]
+) -> tuple[Motion, RawDynamics]:
+    """Stop some joints, shape (m,), by impulses on them, and hold them by a huge inertia."""
+    if not joints.any():
+        return now, hand
+    m, inertia, v = len(joints), mirrored(hand.inertia), now.velocities
+    back = np.linalg.inv(inertia)[:, joints]
+    impulse = np.linalg.solve(back[joints], v[:m][joints])
+    now = now._replace(velocities=np.concatenate([v[:m] - back @ impulse, v[m:]]))
+    inertia[joints, joints] += _ENDLESS * inertia.diagonal().max()
+    # In Pinocchio's order: for another, `step` would be compiled again, for many seconds.
+    return now, hand._replace(inertia=np.asfortranarray(inertia))

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
 
@@ -98,6 +98,9 @@ class TactileSensorConfig(Config):
     dropout: float = param(
         0.0, "chance of a repeated sample, per finger", live=True, ge=0.0, le=1.0
     )
+    axes: Literal["all", "normal"] = param(
+        "all", "components of a force that it measures; the others are NaN"
+    )
     seed: int = param(1, "seed of everything random", ge=0)
 
 
@@ -107,7 +110,7 @@ class TactileReading(NamedTuple):
     Attributes:
         positions: Contact points in the palm frame, shape (k, 3), m; NaN without a contact.
         quaternions: Contact frames C_i in the palm frame (x, y, z, w), shape (k, 4).
-        forces: Forces on the object in C_i, shape (k, 3), N.
+        forces: Forces on the object in C_i, shape (k, 3), N; NaN where a skin does not measure.
     """
 
     positions: Array
@@ -240,12 +243,15 @@ class TactileSensor:
         speeds = self._at_rest if sliding is None else sliding
         skin = self._memory, self._numbers, self._radii
         measured = _measured(*skin, *true, speeds, white, elapsed)
+        reading = TactileReading(*measured)
         last = self._waiting[-1][1] if self._waiting else self._held
         if last is not None and self.config.dropout > 0.0:
             lost = (draws < self.config.dropout)[:, None]
             pairs = zip(last, measured, strict=True)
-            return TactileReading(*(np.where(lost, *pair) for pair in pairs))
-        return TactileReading(*measured)
+            reading = TactileReading(*(np.where(lost, *pair) for pair in pairs))
+        if self.config.axes == "normal":
+            reading.forces[:, ::2] = np.nan
+        return reading
 
 
 @compiled

@@ -94,7 +94,7 @@ def read_inputs(run: Run, scenario: Scenario, of_scenario: Collection[str] = ())
         Contacts.from_poses(*pose) if known else None
         for pose, known in zip(poses, touched, strict=True)
     ]
-    measured = np.asarray(np.isfinite(record.forces).all(axis=(1, 2)))
+    measured = np.asarray(np.isfinite(record.forces[:, :, 1]).all(axis=1))
     commands = {names.REGULATOR: _forces(run), names.OPTIMIZER: [], names.CONTROLLER: _poses(run)}
     changes = {}
     for node in CONTROLLERS:

@@ -18,7 +18,13 @@ _OVERLAP = 16.0 / 6.0
 _SAMPLE_LIMIT = 0.25  # largest contribution of a sample, as a fraction of the threshold
 _RELEASE = 0.75  # fraction of the threshold at which a slip stops
 _BOUND = 3.0  # times the noise: largest power of a sample while the noise is learned
-_UNBIASED = 1.0 / (1.0 - math.exp(-_BOUND))  # corrects that bound; power has two degrees of freedom
+# Correct that bound, for powers with one and with two degrees of freedom.
+_UNBIASED_ONE = 1.0 / (
+    math.erf(math.sqrt(0.5 * _BOUND))
+    - math.sqrt(2.0 * _BOUND / math.pi) * math.exp(-0.5 * _BOUND)
+    + _BOUND * math.erfc(math.sqrt(0.5 * _BOUND))
+)
+_UNBIASED = 1.0 / (1.0 - math.exp(-_BOUND))
 _LATE = 3.0  # ticks, largest delay of a command
 _SURE = 3.0  # standard deviations at which a normal force counts as a contact
 _COURSE = 0.01  # s, time constant of the rate of a force
@@ -96,6 +102,8 @@ class SlipDetector:
     has 16 / 6 of the mean power, which scales h. A step of the load changes up to three
     innovations, so each counts for h / 4 at most. See docs/explanation/slip.md.
 
+    With the normal force alone, r is one number, and half of ln rho is subtracted.
+
     Source: Page, Continuous inspection schemes, 1954.
     """
 
@@ -145,6 +153,7 @@ class SlipDetector:
         internal: Array,
         fresh: NDArray[np.bool_],
         dt: float,
+        freedoms: int = 2,
     ) -> NDArray[np.int64]:
         """Return the `ContactState` of each contact after a tick, shape (k,).
 
@@ -155,8 +164,10 @@ class SlipDetector:
                 zero: none.
             fresh: Whether the forces are new samples, shape (k,); repeated ones do not count.
             dt: Time since the last tick, s.
+            freedoms: Components of a force that are tested: 2 across the internal force, or 1 for
+                normal forces, which must have no internal directions.
         """
-        _watch(self._memory, self._config, forces, normals, internal, fresh, dt)
+        _watch(self._memory, self._config, forces, normals, internal, fresh, dt, freedoms)
         return self.state
 
 
@@ -169,6 +180,7 @@ def _watch(
     internal: Array,
     fresh: NDArray[np.bool_],
     dt: float,
+    freedoms: int,
 ) -> None:
     """Update the memory of each contact with its force; see `SlipDetector.step`."""
     for i in range(len(memory)):
@@ -184,7 +196,7 @@ def _watch(
         m["touched_for"] += min(dt, _LONGEST)
         normal = dot(force, normals[i])
         if fresh[i]:
-            _take(m, config[0], force, normal, internal[i])
+            _take(m, config[0], force, normal, internal[i], freedoms)
         elif m["since"] > _SILENCE * m["period"]:
             m["evidence"] = 0.0
             m["agrees"] = False
@@ -192,7 +204,7 @@ def _watch(
 
 
 @compiled
-def _take(m: Row, c: Row, force: Array, normal: float, internal: Array) -> None:
+def _take(m: Row, c: Row, force: Array, normal: float, internal: Array, freedoms: int) -> None:
     """Test a new sample, and learn the noise from it."""
     r, gain = _innovation(m, force)
     m["agrees"] = False
@@ -208,12 +220,13 @@ def _take(m: Row, c: Row, force: Array, normal: float, internal: Array) -> None:
     samples = c["false_alarm_time"] / max(m["period"], 1e-6)
     m["threshold"] = max(1.0, _OVERLAP * math.log(samples))
     if m["touched_for"] > _SETTLING:
-        found = 0.5 * (1.0 - 1.0 / _RATIO) * power / noise - math.log(_RATIO)
+        found = 0.5 * (1.0 - 1.0 / _RATIO) * power / noise - 0.5 * freedoms * math.log(_RATIO)
         m["agrees"] = found > 0.0
         limit = _SAMPLE_LIMIT * m["threshold"]
         m["evidence"] = min(max(0.0, m["evidence"] + min(found, limit)), m["threshold"] + limit)
     if m["state"] != ContactState.SLIP or m["slipped_for"] > _PATIENCE:
-        _learn(m, power / (gain * (1.0 + known)))
+        unbiased = _UNBIASED_ONE if freedoms == 1 else _UNBIASED
+        _learn(m, power / (gain * (freedoms - 1.0 + known)), unbiased)
 
 
 @compiled
@@ -253,12 +266,12 @@ def _decide(m: Row, normal: float, dt: float) -> None:
 
 
 @compiled
-def _learn(m: Row, square: float) -> None:
+def _learn(m: Row, square: float, unbiased: float) -> None:
     """Follow the noise, quickly after touching; the power of a sample is bounded."""
     dt = m["spacing"]
     time = max(min(_LEARNING, m["touched_for"]), 10.0 * dt, 1e-9)
     bounded = min(square, _BOUND * m["variance"])
-    m["variance"] += min(dt / time, 1.0) * (_UNBIASED * bounded - m["variance"])
+    m["variance"] += min(dt / time, 1.0) * (unbiased * bounded - m["variance"])
 
 
 @compiled

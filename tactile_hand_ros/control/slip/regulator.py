@@ -72,6 +72,10 @@ class SlipRegulator:
     k_f reaches, the required grasp force follows the load, but nothing is learned of slips. What
     was learned of the friction shortly before either of both is forgotten.
 
+    A skin that measures normal forces only shows neither load nor friction. The required grasp
+    force is then unknown, and outside mode `user` k_f is the user's, raised by each slip until the
+    next request.
+
     Attributes:
         grasp_force: k_f, N.
         goal: Grasp force that the user requested last, N; applied inside the limits.
@@ -95,7 +99,7 @@ class SlipRegulator:
     def configure(self, config: SlipRegulatorConfig) -> None:
         """Change limits, rates and mode; the grasp force continues from its value."""
         if config.mode != self.config.mode:
-            self._asked = self.grasp_force
+            self._asked, self._raised = self.grasp_force, 0.0
             self._response.start(self.grasp_force)
             self._required.reset()
         # Otherwise a raised limit would make the grasp force jump.
@@ -114,6 +118,8 @@ class SlipRegulator:
         self.needed = self.ready = math.nan
         self._last_stamp: int | None = None
         self._has_grasped = False  # since the reset
+        self._raised = 0.0  # k_f after the last slip in normal forces, N; 0 without one
+        self._steady = True  # whether k_f did not change in the last tick
         self._required.reset()
         self._grasp: Contacts | None = None  # the last with all contacts
         self._last = np.full((self._fingers, 3), np.nan)
@@ -174,7 +180,7 @@ class SlipRegulator:
                 f"requested grasp force {grasp_force} N is outside {c.minimum} to {c.maximum} N; "
                 "ask for one inside or change the limits 'minimum' and 'maximum'"
             )
-        self.goal = grasp_force
+        self.goal, self._raised = grasp_force, 0.0
 
     def step(
         self, stamp: int, contacts: Contacts | None = None, forces: Array | None = None
@@ -198,7 +204,8 @@ class SlipRegulator:
         if c.mode != "user":
             reflex = self._response.grasp_force
             goal = reflex if c.mode == "auto" else max(self._asked, reflex)
-        self.grasp_force = min(max(goal, c.minimum), c.maximum)
+        before, self.grasp_force = self.grasp_force, min(max(goal, c.minimum), c.maximum)
+        self._steady = self.grasp_force == before
         return self.grasp_force
 
     def _follow_user(self, dt: float) -> None:
@@ -213,6 +220,9 @@ class SlipRegulator:
         touching, normals = contacts.touching, contacts.normals
         if not touching.any():
             self._estimator.reset()  # the next object may be another one
+        if np.isnan(measured[:, 0]).any():
+            self._follow_normals(contacts, measured[:, 1], dt)
+            return
         # A sensor that is slower than the loop repeats its samples.
         fresh, self._last = (measured != self._last).any(axis=1), measured.copy()
         forces = in_palm(contacts.rotations, measured, 1.0)
@@ -247,6 +257,28 @@ class SlipRegulator:
         goal = max(self.needed, min(self.ready, _RESERVED * limit))
         known = touching | (grasped and parts is not None)  # the others hold without it
         self._response.step(goal, slips, slides, known, limit, dt)
+
+    def _follow_normals(self, contacts: Contacts, normal: Array, dt: float) -> None:
+        """Update slip and the reflex from normal forces, shape (k,), N.
+
+        They show a change of k_f like a slip, so nothing is tested while k_f changes.
+        """
+        touching, c = contacts.touching, self.config
+        fresh, self._last[:, 1] = normal != self._last[:, 1], normal
+        is_known = touching & self._steady & (not (self._rejected or self._held))
+        forces, axes = np.zeros((2, self._fingers, 3))
+        axes[:, 1] = 1.0
+        forces[:, 1] = np.where(is_known, normal, np.nan)
+        state = self._detector.step(forces, axes, np.zeros_like(axes), fresh, dt, freedoms=1)
+        self.needed = self.ready = math.nan
+        self._required.lose()
+        self.carried = self._carried(contacts.rotations)
+        if c.mode == "user":
+            return
+        if (state == ContactState.SLIP).any():
+            self._raised = min(c.reflex.first_rise * self.grasp_force, c.maximum)
+        goal = max(self._raised, self._asked)
+        self._response.step(goal, False, False, touching, c.maximum, dt)
 
     def _split(self, contacts: Contacts, forces: Array) -> tuple[Split | None, Array]:
         """Return the split of a grasp's forces and its normals, shape (k, 3), NaN: not grasped.

@@ -8,7 +8,14 @@ from support.grasps import moved
 
 from tactile_hand_ros.control.contact import Contacts, contact_frame
 from tactile_hand_ros.control.holds import FittedGains
-from tactile_hand_ros.control.laws import LAWS, LawConfig, ManipulationLaw, OptimalLaw, Target
+from tactile_hand_ros.control.laws import (
+    LAWS,
+    LawConfig,
+    ManipulationLaw,
+    NormalForceControl,
+    OptimalLaw,
+    Target,
+)
 from tactile_hand_ros.control.optimizer.force_optimizer import ForceOptimizer, ForceOptimizerConfig
 from tactile_hand_ros.hand.hand import Hand
 from tactile_hand_ros.rotations import rotation_from_vector
@@ -266,3 +273,36 @@ def test_reset_forgets_frame_integral_and_load(grip):
             again.total, grip.torque("optimal", law=fresh, forces=FORCES).total
         )
     np.testing.assert_array_equal(law.integral_wrench, fresh.integral_wrench)
+
+
+SHARES = np.array([0.5, 0.2, 0.3])
+
+
+def gripped(load, fraction, late, ends=(-20.0, 20.0), age=0.016):
+    """Return normal forces, 2 s, of weak drives whose contacts receive a fraction of c, late."""
+    control, seen, changes = NormalForceControl(), [], [0.0] * late
+    for i in range(2000):
+        seen.append((8.0 + fraction * changes[i]) * SHARES + load)
+        changes.append(control.step(10.0, SHARES, seen[-1], *ends, 0.001, age) - 10.0)
+    return np.array(seen)
+
+
+@pytest.mark.parametrize("fraction", [0.3, 1.0, 1.5])
+def test_a_grip_presses_each_finger_with_its_part_and_the_loaded_ones_with_more(fraction):
+    load = np.array([-1.0, 0.6, 1.2])  # N, of the object
+    seen = gripped(load, fraction, late=16)
+    np.testing.assert_allclose(seen[-1], 12.0 * SHARES + load, atol=1e-3)  # 5 N of the first
+    least = (seen / (10.0 * SHARES)).min(axis=1)
+    assert least[0] == pytest.approx(0.6) and least.max() < 1.03  # hardly an overshoot
+
+
+def test_the_gain_of_a_grip_is_a_sixth_of_that_at_which_it_oscillates():
+    calm, wild = (gripped(0.0, 1.0, late, (-1e9, 1e9))[:, 0] for late in (60, 110))
+    assert np.ptp(calm[-200:]) < 0.01 and np.ptp(wild[-500:]) > np.ptp(wild[:500])
+
+
+def test_a_dead_skin_and_a_crush_limit_bound_the_correction_of_a_grip():
+    assert NormalForceControl().step(10.0, SHARES, np.zeros(3), -3.0, 2.0, 1e3, 0.01) == 12.0
+    assert NormalForceControl().step(10.0, SHARES, np.full(3, 99.0), -3.0, 2.0, 1e3, 0.01) == 7.0
+    unknown = np.array([1.0, np.nan, 1.0])
+    assert NormalForceControl().step(10.0, SHARES, unknown, -3.0, 2.0, 1e3, 0.01) == 10.0

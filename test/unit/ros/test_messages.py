@@ -76,6 +76,20 @@ def test_a_force_is_read_by_ros_and_by_us(stamp, force, frame):
         same_bits(ours, force)
 
 
+def test_a_normal_force_may_come_alone_but_only_from_a_skin():
+    known, nan = (math.nan, 3.0, math.nan), math.nan
+    skin, strict = WrenchCodec("tip", normal_allowed=True), WrenchCodec("tip")
+    data = skin.encode(known, 7)
+    same_bits(skin.decode(data)[1], known)
+    with pytest.raises(MessageError, match="expected three finite numbers"):
+        strict.decode(data)
+    for wrong in ((nan, 3.0, 1.0), (nan, nan, nan), (nan, BEYOND, nan), (1.0, nan, 1.0)):
+        with pytest.raises(UnsafeOutputError):
+            skin.encode(wrong, 7)
+        with pytest.raises(MessageError, match="expected three finite numbers"):
+            skin.decode(serialize_message(force_message(wrong, 7, "tip")))
+
+
 @given(stamps, st.integers(1, 6), st.data())
 def test_contacts_are_read_by_ros_and_by_us(stamp, count, data):
     positions = data.draw(vectors((count, 3)))

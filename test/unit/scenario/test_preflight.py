@@ -35,6 +35,21 @@ def check(**changes):
             ConfigurationError,
             r"the law 'contact' multiplies the grasp force by a distance.*mode to user",
         ),
+        (
+            {"tactile_sensor__axes": "normal"},
+            ConfigurationError,
+            r"the law 'optimal' and its slip prevention need forces in three axes.*name to grip",
+        ),
+        (
+            {"manipulation_controller__law": {"name": "grip"}},  # with the targets of `paper`
+            PoseError,
+            r"'grip' keeps its posture and moves no object, since normal forces do not show a load",
+        ),
+        (
+            {"manipulation_controller__law__name": "grip"},  # with the gains of `paper`
+            ConfigurationError,
+            r"law is invalid: the law 'grip' controls no pose.*set k_p, k_o, damping",
+        ),
         ({"layout": "four_faces"}, HandModelError, r"no layout 'four_faces'.*three_faces, pinch"),
         ({"plant__object__size": [0.2, 0.2, 0.2]}, GraspError, r"finger_1 starts 30.2 mm away"),
         (

@@ -45,6 +45,15 @@ def test_a_perfect_skin_reports_the_truth_to_the_bit():
         same(reading, truth(1e-9 * i * TICK))
 
 
+def test_a_skin_for_normal_forces_measures_them_as_any_other_and_says_that_it_knows_no_more():
+    noise = {"force_noise": 0.1, "dropout": 0.3, "bias_drift": 0.1}
+    whole, normal = (readings(sensor(**noise, axes=axes), 20, (1,)) for axes in ("all", "normal"))
+    for one, other in zip(whole, normal, strict=True):
+        np.testing.assert_array_equal(other.forces[:, 1], one.forces[:, 1])
+        assert np.isnan(other.forces[:, ::2]).all()
+        np.testing.assert_array_equal(other.positions, one.positions)
+
+
 def test_one_seed_gives_the_same_noise_and_another_gives_other():
     noisy = {"force_noise": 0.1, "location_noise": 0.001, "dropout": 0.3, "bias_drift": 0.1}
     noisy |= {"bandwidth": 40.0, "location_bandwidth": 20.0, "latency": 0.004}

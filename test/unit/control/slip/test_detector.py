@@ -42,17 +42,29 @@ def slips_once(ticks=500, **how):
     return np.concatenate([sticking(ticks), sliding(20, **how)])
 
 
-def test_false_alarms_are_as_rare_as_they_are_asked_to_be():
+@pytest.mark.parametrize("freedoms", [1, 2])
+def test_false_alarms_are_as_rare_as_they_are_asked_to_be(freedoms):
     """A thousand contacts for 5 s, at one accepted alarm per contact and hour: 1.4 in total."""
     detector = SlipDetector(SlipDetectorConfig(false_alarm_time=3600.0), 1000)
     random, normals, new = np.random.default_rng(0), normals_of(1000), np.ones(1000, bool)
+    axes, kept = (normals, 1.0) if freedoms == 2 else (0.0 * normals, normals)
     before, alarms = np.zeros(1000, dtype=int), 0
     for _ in range(5000):
         forces = np.array([1.0, 5.0, 0.5]) + 0.01 * random.standard_normal((1000, 3))
-        now = detector.step(forces, normals, normals, new, DT)
+        now = detector.step(kept * forces, normals, axes, new, DT, freedoms)
         alarms += int(((now == SLIP) & (before != SLIP)).sum())
         before = now
     assert alarms <= 1
+
+
+def test_the_noise_of_a_normal_force_is_learned_without_a_bias():
+    detector, random = SlipDetector(SlipDetectorConfig(noise=0.02), 500), np.random.default_rng(0)
+    normals, new = normals_of(500), np.ones(500, bool)
+    for _ in range(4000):
+        forces = normals * (5.0 + 0.05 * random.standard_normal((500, 1)))
+        detector.step(forces, normals, 0.0 * normals, new, DT, freedoms=1)
+    deviation = np.sqrt(detector._memory["variance"]).mean()
+    assert deviation == pytest.approx(0.05, rel=0.03)
 
 
 def test_a_longer_time_between_false_alarms_finds_slip_later():

@@ -470,3 +470,34 @@ def test_a_new_regulator_starts_with_the_measured_grasp_force(mode, begins):
         first = slip.step(TICK, grasp, FORCES)
         expected = max(configured, measured) if begins else configured
         assert first == pytest.approx(expected, rel=0.01)
+
+
+def normal_run(slip, start, ticks, slides=False, seed=0):
+    """Return k_f at ticks of 1 ms at which only normal forces are known."""
+    random, told = np.random.default_rng(seed), []
+    for i in range(start, start + ticks):
+        forces = np.full((3, 3), np.nan)
+        forces[:, 1] = FORCES[:, 1] + (0.15 if slides else 0.005) * random.standard_normal(3)
+        told.append(slip.step(i * 1_000_000, three_faces(), forces))
+    return np.array(told)
+
+
+@pytest.mark.parametrize("mode", ["shared", "auto", "user"])
+def test_without_tangential_forces_a_slip_raises_the_users_grasp_force_until_he_asks_again(mode):
+    slip = regulator(mode=mode, grasp_force=8.0)
+    assert (normal_run(slip, 0, 1000) == 8.0).all()
+    assert np.isnan(slip.needed) and np.isnan(slip.carried.load).all()
+    raised = normal_run(slip, 1000, 40, slides=True)
+    assert raised[-1] == (8.0 if mode == "user" else 16.0)
+    if mode == "user":
+        assert SLIP in slip.state
+        return
+    rising = int(np.flatnonzero(raised > 8.0)[0])
+    assert rising < 15 and raised[rising + 1] == 16.0  # 4 N per tick
+    assert (slip.state == UNKNOWN).all()  # for 50 ms after the change, which looks like a slip
+    assert (normal_run(slip, 1040, 2000) == 16.0).all() and (slip.state == STICK).all()
+    again = normal_run(slip, 3040, 50, slides=True)
+    assert again[-1] == 32.0
+    slip.request(9.0)
+    assert normal_run(slip, 3090, 4000)[-1] == pytest.approx(9.0)
+    np.testing.assert_array_equal(slip.learned_friction, regulator().learned_friction)
