@@ -121,22 +121,22 @@ def test_killed_at_any_moment_it_loses_the_last_moment_at_most(start, node, tmp_
 
     The chunks never fill: what is on the disk is there because its time had come.
     """
-    for run, life in enumerate((0.0, 0.3, BOUND + 0.5)):
-        publisher = node.create_publisher(Float64, f"number_{run}", DEEP)
-        bag, sent = tmp_path / str(run), list[float]()
-        with start(bag) as recorder:
-            wait_for_recorder(publisher)
-            writers = psutil.Process(recorder.pid).children()
-            while not sent or time.monotonic() < sent[0] + life:
-                publisher.publish(Float64(data=float(len(sent))))
-                sent.append(time.monotonic())
-                signal.sigtimedwait([], 0.002)
-            recorder.send(signal.SIGKILL)
-            killed = time.monotonic()
-            assert recorder.wait() == -signal.SIGKILL
-            psutil.wait_procs(writers, 30.0)
+    publisher, sent = node.create_publisher(Float64, "number", DEEP), list[float]()
+    bags = {life: tmp_path / str(life) for life in (0.0, 0.3, BOUND + 0.5)}
+    recorders = {life: start(bag) for life, bag in bags.items()}
+    wait_until(lambda: publisher.get_subscription_count() == len(bags), 60.0)
+    for life, recorder in recorders.items():
+        writers = psutil.Process(recorder.pid).children()
+        while not sent or time.monotonic() < sent[0] + life:
+            publisher.publish(Float64(data=float(len(sent))))
+            sent.append(time.monotonic())
+            signal.sigtimedwait([], 0.002)
+        recorder.send(signal.SIGKILL)
+        killed = time.monotonic()
+        assert recorder.wait() == -signal.SIGKILL
+        psutil.wait_procs(writers, 30.0)
         saved = sum(at < killed - BOUND for at in sent)
-        if saved or any(bag.glob("*.mcap")):
-            recovered = read_messages(recover(bag).target, [f"/number_{run}"])
+        if saved or any(bags[life].glob("*.mcap")):
+            recovered = read_messages(recover(bags[life]).target, ["/number"])
             numbers = [message.message.data for message in recovered]
             assert numbers == [float(i) for i in range(len(numbers))] and len(numbers) >= saved

@@ -141,26 +141,29 @@ def test_recover(run, capsys):
     assert "exists already" in refused(capsys, "recover", run)
 
 
-def test_unknown_names(run, capsys):
-    assert "did you mean 'paper'" in refused(capsys, "show", "papr")
-    assert "no hand in the namespace 'left'" in refused(capsys, "summary", run, "--namespace=left")
-    out = f"--out={run / 'x'}"
-    assert "no layout 'fist'" in refused(capsys, "reproduce", "--layout=fist", out)
-    assert "--duration: duration is nan" in refused(capsys, "reproduce", "--duration=nan", out)
-
-
-def test_wrong_usage(capsys):
-    assert "No such command 'frobnicate'" in refused(capsys, "frobnicate")
-    assert "Missing argument" in refused(capsys, "show")
-    assert "Did you mean 'run'" in refused(capsys, "rum")
-    assert "--pacing" in refused(capsys, "run", "--pacin", "realtime")
-    assert "'tactile-hand run --help'" in refused(capsys, "run", "paper", "twice")
-    assert "expected 1 or more processes" in refused(capsys, "reproduce", "--jobs", "0")
-
-
-def test_run_refuses_what_contradicts_itself(capsys):
-    assert "given twice" in refused(capsys, "run", "paper", "--scenario", "pull")
+def test_a_namespace_without_a_hand_and_an_empty_name(run, capsys):
     assert "the scenario is ''" in refused(capsys, "run", "")
+    assert "no hand in the namespace 'left'" in refused(capsys, "summary", run, "--namespace=left")
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ("show papr", "did you mean 'paper'"),
+        ("reproduce --layout=fist --out=x", "no layout 'fist'"),
+        ("reproduce --duration=nan --out=x", "--duration: duration is nan"),
+        ("reproduce --jobs 0", "expected 1 or more processes"),
+        ("frobnicate", "No such command 'frobnicate'"),
+        ("show", "Missing argument"),
+        ("rum", "Did you mean 'run'"),
+        ("run --pacin realtime", "--pacing"),
+        ("run paper twice", "'tactile-hand run --help'"),
+        ("run paper --scenario pull", "given twice"),
+    ],
+)
+def test_unknown_names_and_wrong_usage(words, said, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert said in refused(capsys, *words.split())
 
 
 @pytest.mark.parametrize(
@@ -179,10 +182,16 @@ def test_steering_takes_any_number_and_refuses_what_is_none(words, said, capsys)
         assert said in refused(capsys, *words, "--timeout", "0.1")
 
 
-def without_hand(**changes: str | None) -> tuple[int, str]:
-    """Steer without a hand in a changed environment; return the exit code and the errors."""
+@pytest.mark.parametrize(
+    ("variable", "value", "said"),
+    [
+        ("RMW_IMPLEMENTATION", "rmw_none_cpp", "which is not installed here"),
+        ("HOME", None, "no hand is running"),
+    ],
+)
+def test_a_middleware_or_a_home_that_is_missing_is_one_sentence(variable, value, said):
     with isolated_domain():
-        environment = {**os.environ, **changes}
+        environment = {**os.environ, variable: value}
         done = subprocess.run(
             [*COMMAND, "squeeze", "1", "--timeout", "0.1"],
             capture_output=True,
@@ -190,12 +199,7 @@ def without_hand(**changes: str | None) -> tuple[int, str]:
             timeout=60,
             env={key: text for key, text in environment.items() if text is not None},
         )
-    return done.returncode, done.stderr
-
-
-def test_a_middleware_that_is_missing_is_one_sentence():
-    code, errors = without_hand(RMW_IMPLEMENTATION="rmw_none_cpp")
-    assert code == 2 and "which is not installed here" in errors and errors.count("\n") == 1
+    assert done.returncode == 2 and said in done.stderr and done.stderr.count("\n") == 1
 
 
 def test_an_rclpy_that_cannot_be_loaded_is_one_sentence(capsys):
@@ -240,8 +244,3 @@ def is_alive(pid: int) -> bool:
         return Path(f"/proc/{pid}/stat").read_text().rpartition(") ")[2][0] != "Z"
     except OSError:
         return False
-
-
-def test_a_command_starts_without_a_home():
-    code, errors = without_hand(HOME=None)
-    assert code == 2 and "no hand is running" in errors and errors.count("\n") == 1

@@ -95,8 +95,7 @@ def test_damaged_files_are_compiled_again(control):
 
 def test_it_is_complete_after_a_warm_up_of_these_sources(control):
     ask = "from tactile_hand_ros.compiled import *; print(is_complete())"
-    assert run(control, ask)[0] == "False"
-    run(control, "from tactile_hand_ros.compiled import *; mark_complete()")
+    assert run(control, f"{ask}; mark_complete()")[0] == "False"
     assert run(control, ask)[0] == "True"
     assert run(control, ask, NUMBA_CACHE_DIR="elsewhere")[0] == "False"
     (control / "inner.py").write_text(INNER.format(constant="2.000"))
@@ -156,18 +155,16 @@ print(loaded > 30, {x.__name__: dict(x.stats.cache_misses) for x in ours if x.st
 
 
 def test_after_the_warm_up_nothing_is_compiled_again(tmp_path):
-    done = [
-        subprocess.run(
-            [sys.executable, "-c", COVERED],
-            cwd=tmp_path,
-            capture_output=True,
-            text=True,
-            check=True,
-            timeout=600,
+    """A first process may still have to fill the cache; a second one must not."""
+
+    def has_all() -> bool:
+        command = [sys.executable, "-c", COVERED]
+        done = subprocess.run(
+            command, cwd=tmp_path, capture_output=True, text=True, check=True, timeout=600
         )
-        for _ in range(2)
-    ]
-    assert done[1].stdout.split(maxsplit=1) == ["True", "{}\n"]
+        return done.stdout.split(maxsplit=1) == ["True", "{}\n"]
+
+    assert has_all() or has_all()
 
 
 def test_without_a_place_for_the_cache_it_is_compiled_in_each_process(control):

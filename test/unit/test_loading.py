@@ -15,7 +15,7 @@ from tactile_hand_ros.ros.processes import executable_path
 FIGURES = {"matplotlib", "rosbags", "tactile_hand_ros.run", "tactile_hand_ros.report"}
 COMMANDS = {"typer", "rich"}
 MODEL = {"pinocchio", "tactile_hand_ros.hand.hand"}
-SOLVER = {"osqp", "tactile_hand_ros.control.optimizer.warm_solver"}
+SOLVER = {"osqp", "tactile_hand_ros.control.optimizer.quadratic_program"}
 PLANT = {"tactile_hand_ros.simulation.plant"}
 COMPILER = {"numba", "llvmlite"}
 NODE = FIGURES | COMMANDS

@@ -99,7 +99,12 @@ def test_what_is_found_touches_one_face_and_the_opposite_and_can_bear_its_load(
     ],
 )
 def test_a_found_grasp_holds_at_the_first_try_and_bears_a_pull(tmp_path, shape, size):
-    """Under gravity, with gains from the hand."""
+    """Under gravity, with gains from the hand.
+
+    Rounding decides where the search ends and so which grasp is the best; one may be three times
+    as stiff as another. A grasp that holds gives way in proportion to its load, the weight of 1 N
+    and then the pull of 2 N; one that slips gives way further.
+    """
     body = body_of(size, shape, 0.1)
     best = search(Hand.load("human", gravity=DOWN), body)[0]
     values = scenario_values("human", body, best)
@@ -108,8 +113,9 @@ def test_a_found_grasp_holds_at_the_first_try_and_bears_a_pull(tmp_path, shape, 
         scenario(tmp_path, values, duration=1.0, **{"plant.disturbances": pull})
     ).run()
     moved = np.linalg.norm(record.object_position - record.object_position[0], axis=1)
-    # Which grasp is found depends on rounding, and its stiffness on the grasp.
-    assert len(record) == 1001 and moved.max() < 0.008 and moved[-1] < 1e-3
+    sagged, pulled = moved[:500].max(), moved[500:].max()
+    assert len(record) == 1001 and sagged < 0.003 and moved[-1] < 1e-3
+    assert pulled < 1.25 * sagged * 2.0 / (9.81 * body.mass)
     assert np.isfinite(record.true_positions).all() and record.true_slid[-1].max() < 1e-3
 
 
