@@ -52,7 +52,7 @@ class PlantRun:
         self._refused = ""
 
     def configure(self, config: PlantConfig) -> None:
-        """Change friction and mass of the object, also for the time after a reset."""
+        """Change friction, mass and `palm_turn`; see `Plant.configure`."""
         self.plant.configure(config)
 
     @property
