@@ -195,7 +195,7 @@ class CockpitNode(TactileNode[CockpitConfig]):
         self._show()
 
     def _show(self) -> None:
-        """Make new rows, not more often than somebody can see them."""
+        """Make new rows, at most one picture for each batch."""
         now = time.monotonic()
         if self.picture and now >= self._due and self.picture.advance():
             self._due = now + _PICTURE_PERIOD
