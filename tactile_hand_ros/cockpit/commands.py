@@ -63,12 +63,11 @@ class CommandError(TactileHandError):
 
 def live_parameters() -> dict[str, dict[str, Any]]:
     """Return the fields that may change during a run, by node."""
-    found: dict[str, dict[str, Any]] = {}
-    for node in NODES:
-        model: Any = Scenario.model_fields[node].annotation
-        fields = {n: f for n, f in leaves(model).items() if is_live(f)}
-        found[node] = {n: f for n, f in fields.items() if ros_type(f).name in _CASTS}
-    return found
+    models: dict[str, Any] = {node: Scenario.model_fields[node].annotation for node in NODES}
+    return {
+        node: {name: field for name, field in leaves(model).items() if is_live(field)}
+        for node, model in models.items()
+    }
 
 
 class Commands:
@@ -226,10 +225,11 @@ class Commands:
         if not bag:
             raise CommandError("nothing is recorded that could be saved")
         (last,) = _numbers(command, "last", 1)
-        threading.Thread(target=self._save, args=(Path(bag), last, reply), daemon=True).start()
+        given = Path(bag), self._node.since(float(last)), reply
+        threading.Thread(target=self._save, args=given, daemon=True).start()
 
     def _save(self, bag: Path, last: float, reply: Reply) -> None:
-        """Copy the last seconds of the recording, 0 for all, to a bag, and write its report."""
+        """Copy what was received in the last seconds, 0 for all, to a bag; write its report."""
         count = 1
         while (folder := bag.parent / f"saved-{count}").exists():
             count += 1

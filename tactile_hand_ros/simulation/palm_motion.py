@@ -16,6 +16,8 @@ Array = NDArray[np.float64]
 
 _QUICKNESS = 5.0  # 1/s; a forearm turns to where its user wants it in about a second, 5 / 5 s
 
+_REACHED = 1e-6  # rad, and rad/s; far below what a hand could sense
+
 
 class PalmTurn(Config):
     """An orientation of the palm in the world and its time."""
@@ -36,6 +38,11 @@ class Turning(NamedTuple):
     rotation: Array
     rate: Array
     acceleration: Array
+
+    @property
+    def rests(self) -> bool:
+        """Whether the palm stands still."""
+        return not (self.rate.any() or self.acceleration.any())
 
 
 def palm_turning(turns: Sequence[PalmTurn], time: float) -> Turning:
@@ -75,7 +82,11 @@ class UserTurn:
         With the way w that is left and the angular velocity W, W' = k^2 w - 2 k W.
         """
         (rotation, rate, _), k = self.now, _QUICKNESS
-        way = vector_from_rotation(rotation.T @ rotation_from_vector(goal))
+        wanted = rotation_from_vector(goal)
+        way = vector_from_rotation(rotation.T @ wanted)
+        if max(np.abs(way).max(), np.abs(rate).max()) < _REACHED:
+            self.now = Turning(wanted, np.zeros(3), np.zeros(3))
+            return
         gain = k * k * way - 2.0 * k * rate
         rate = rate + h * gain
         self.now = Turning(rotation @ rotation_from_vector(h * rate), rate, gain)

@@ -251,7 +251,7 @@ class Plant:
             self._user_turn.step(self.config.palm_turn, h)
         turning = self._turn_palm(middle)
         wrench, turns = self._weight, None
-        if turning is not None:
+        if turning is not None and not turning.rests:
             theta, ahead = half_step(h, now)
             turns = self.hand.turning_torque(theta, ahead[:m], *turning[1:])
             body_motion = now.position, ahead[m : m + 3], ahead[m + 3 :]

@@ -147,11 +147,12 @@ function upArrow(scene, source) {
   const arrow = new THREE.ArrowHelper(new THREE.Vector3(0, 0, 1), new THREE.Vector3(), length, 0x8a8f98, 0.15 * length, 0.08 * length);
   scene.scene.add(arrow);
   const palm = new THREE.Quaternion();
-  return () => {
+  const update = () => {
     const rotation = rowOf(source.run.columns.palm, scene.row);
     arrow.visible = Number.isFinite(rotation[0]);
     if (arrow.visible) arrow.setDirection(new THREE.Vector3(0, 0, 1).applyQuaternion(palm.set(...rotation).conjugate()));
   };
+  return Object.assign(update, { arrow });
 }
 
 function bar(page) {
