@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Recovery of truncated bags: every complete chunk, written to a new bag."""
+"""Recovery of truncated bags: every complete chunk, or the last seconds, in a new bag."""
 
 from __future__ import annotations
 
+import contextlib
 import shutil
 from pathlib import Path
 from typing import NamedTuple
@@ -21,6 +22,7 @@ from tactile_hand_ros.errors import BagError
 LARGEST = 2**28
 """Maximum size of a record or chunk [B]; a larger announced size means damage."""
 
+_LATCHED = ("transient_local", 1)  # by name, or by rosbag2's older number
 _MAGIC = b"\x89MCAP0\r\n"
 
 
@@ -43,12 +45,14 @@ class Recovery(NamedTuple):
         return self.metadata.message_count
 
 
-def recover(bag: Path | str, out: Path | str | None = None) -> Recovery:
+def recover(bag: Path | str, out: Path | str | None = None, last: float = 0.0) -> Recovery:
     """Write all complete chunks of a bag, from any recorder, to a new bag.
 
     Args:
         bag: Bag folder, folder of a run with ``bag/`` in it, or ``.mcap`` file.
         out: Folder to create; by default next to the bag, with the suffix ``_recovered``.
+        last: Keep the messages received in the last seconds only, and those of latched topics; 0
+            keeps all.
 
     Raises:
         BagError: If there is no MCAP bag, the output exists, or the disk rejects the data.
@@ -57,7 +61,8 @@ def recover(bag: Path | str, out: Path | str | None = None) -> Recovery:
     files = _files_of(source)
     plain = (source if source.is_dir() else source.with_suffix("")).resolve()
     target = Path(out) if out is not None else plain.with_name(plain.name + "_recovered")
-    copy = _Copy(BagWriter(target, compression="zstd"))
+    since = _last_received(files) - round(1e9 * last) if last else 0
+    copy = _Copy(BagWriter(target, compression="zstd"), since)
     try:
         for file in files:
             copy.add(file)
@@ -79,11 +84,24 @@ def _files_of(bag: Path) -> list[Path]:
     return files
 
 
+def _last_received(files: list[Path]) -> int:
+    """Return when the last complete chunk of a bag ends, ns; 0 without one."""
+    found = 0
+    for file in files:
+        with file.open("rb") as stream, contextlib.suppress(Exception):  # truncated, as in `add`
+            for record in StreamReader(stream, emit_chunks=True, record_size_limit=LARGEST).records:
+                if isinstance(record, Chunk):
+                    found = max(found, record.message_end_time)
+    return found
+
+
 class _Copy:
     """Copies the readable parts of MCAP files to a new bag."""
 
-    def __init__(self, writer: BagWriter) -> None:
+    def __init__(self, writer: BagWriter, since: int) -> None:
         self.left = 0
+        self._since = since
+        self._latched: set[int] = set()
         self._writer = writer
         self._numbers: dict[tuple[str, str], int] = {}
         self._schemas: dict[int, Schema] = {}
@@ -120,6 +138,8 @@ class _Copy:
                     self._add_record(each)
             elif isinstance(record, Message):
                 channel = self._channels[record.channel_id]
+                if record.log_time < self._since and channel not in self._latched:
+                    return
                 self._writer.write(channel, record.data, record.log_time, record.publish_time)
             elif isinstance(record, Schema):
                 self._schemas[record.id] = record
@@ -137,12 +157,15 @@ class _Copy:
         schema = self._schemas[channel.schema_id]
         key = channel.topic, schema.name
         if key not in self._numbers:
+            offers = _offers(channel.metadata.get("offered_qos_profiles", ""))
             self._numbers[key] = self._writer.add_channel(
                 *key,
-                offers=_offers(channel.metadata.get("offered_qos_profiles", "")),
+                offers=offers,
                 type_hash=channel.metadata.get("topic_type_hash", ""),
                 definition=MessageDefinition(schema.encoding, schema.data.decode(errors="replace")),
             )
+            if any(offer["durability"] in _LATCHED for offer in offers):
+                self._latched.add(self._numbers[key])
         self._channels[channel.id] = self._numbers[key]
 
     def close(self) -> BagMetadata:

@@ -45,22 +45,27 @@ def live(options: LiveOptions) -> None:
         return
     from tactile_hand_ros.orchestrator.cockpit import cockpit
     from tactile_hand_ros.orchestrator.command import start
+    from tactile_hand_ros.scenario.scenario import load_scenario
 
     # In lockstep a busy computer slows time down, but never the hand's answers.
     changes = [*options.changes]
     if options.pacing != "realtime" and not any(c.startswith("plant.speed") for c in changes):
         changes.append("plant.speed=1")
+    wanted = options.scenario or (None if options.named else _SCENARIO)
+    own = dataclasses.replace(options, scenario=wanted)
+    if not load_scenario(own.wanted).plant.palm_motion:
+        # At rest until the page turns it. With a motion there is an IMU, so the hand knows.
+        changes.append("plant.palm_motion=[{time: 0, rotation: [0, 0, 0]}]")
     own = dataclasses.replace(
-        options,
-        scenario=options.scenario or (None if options.named else _SCENARIO),
+        own,
         interactive=True,
         composed=options.composed is not False,
         changes=changes,
     )
-    beside = functools.partial(cockpit, port=options.port, browser=options.browser)
+    companion = functools.partial(cockpit, port=options.port, browser=options.browser)
     signals = Signals()
     signals.install()
-    raise typer.Exit(start(own, signals, [], "tactile-hand live", beside))
+    raise typer.Exit(start(own, signals, [], "tactile-hand live", companion))
 
 
 def _show(bag: Path, browser: bool) -> None:

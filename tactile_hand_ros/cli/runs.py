@@ -156,11 +156,12 @@ def recover(
     out: Annotated[
         Path | None, typer.Option(help="Folder to create; by default next to the bag.")
     ] = None,
+    last: Annotated[float, typer.Option(help="Seconds to keep; 0 keeps all.", min=0.0)] = 0.0,
 ) -> None:
-    """Recover a bag that was cut off, from any recorder."""
+    """Recover a bag that was cut off, from any recorder, or copy its last seconds."""
     from tactile_hand_ros.bag import recover as r
 
-    new = r.recover(bag, out)
+    new = r.recover(bag, out, last)
     lost = f"{counted(new.left, 'byte')} could not be used" if new.left else "nothing is lost"
     print(f"recovered {counted(new.messages, 'message')} to {new.target}; {lost}")
 

@@ -48,7 +48,13 @@ _CALLS = {
 }
 _SIGNALS = {"stop": signal.SIGSTOP, "continue": signal.SIGCONT}
 _STALL = 0.1  # s for which `stall` stops a node
-_CASTS = {"DOUBLE": float, "INTEGER": int, "STRING": str, "BOOL": bool}
+_CASTS: dict[str, Callable[[Any], Any]] = {
+    "DOUBLE": float,
+    "INTEGER": int,
+    "STRING": str,
+    "BOOL": bool,
+    "DOUBLE_ARRAY": lambda given: [float(number) for number in given],
+}
 
 
 class CommandError(TactileHandError):
@@ -56,13 +62,12 @@ class CommandError(TactileHandError):
 
 
 def live_parameters() -> dict[str, dict[str, Any]]:
-    """Return the fields that may change during a run, by node: single numbers, names and flags."""
-    found: dict[str, dict[str, Any]] = {}
-    for node in NODES:
-        model: Any = Scenario.model_fields[node].annotation
-        fields = {n: f for n, f in leaves(model).items() if is_live(f)}
-        found[node] = {n: f for n, f in fields.items() if ros_type(f).name in _CASTS}
-    return found
+    """Return the fields that may change during a run, by node."""
+    models: dict[str, Any] = {node: Scenario.model_fields[node].annotation for node in NODES}
+    return {
+        node: {name: field for name, field in leaves(model).items() if is_live(field)}
+        for node, model in models.items()
+    }
 
 
 class Commands:
@@ -219,15 +224,18 @@ class Commands:
         bag = self._node.config.bag
         if not bag:
             raise CommandError("nothing is recorded that could be saved")
-        threading.Thread(target=self._save, args=(Path(bag), reply), daemon=True).start()
+        (last,) = _numbers(command, "last", 1)
+        given = Path(bag), self._node.since(float(last)), reply
+        threading.Thread(target=self._save, args=given, daemon=True).start()
 
-    def _save(self, bag: Path, reply: Reply) -> None:
-        """Copy what has been recorded so far to a bag of its own, and write its report."""
+    def _save(self, bag: Path, last: float, reply: Reply) -> None:
+        """Copy what was received in the last seconds, 0 for all, to a bag; write its report."""
         count = 1
         while (folder := bag.parent / f"saved-{count}").exists():
             count += 1
         folder.mkdir()
-        for words in (["recover", bag, "--out", folder / "bag"], ["report", folder]):
+        copying = ["recover", bag, "--out", folder / "bag", "--last", last]
+        for words in (copying, ["report", folder]):
             line = ["nice", sys.executable, "-m", f"{PACKAGE}.cli", *map(str, words)]
             done = subprocess.run(line, capture_output=True, text=True)
             if done.returncode:

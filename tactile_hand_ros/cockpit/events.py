@@ -12,11 +12,9 @@ from numpy.typing import NDArray
 from tactile_hand_ros import names
 from tactile_hand_ros.cockpit.picture import Picture, Track
 from tactile_hand_ros.control.slip.detector import ContactState
-from tactile_hand_ros.run.events import SLIDING
+from tactile_hand_ros.run.events import PAUSE, REACTION, RISE, SLIDING
 
-_PAUSE = 20_000_000  # ns; a shorter pause does not split a slip
-_RISE = 1.02  # of the grasp force, that counts as a reaction
-_RECENT = 250_000_000  # ns after the start of a slip in which an alarm or a rise belongs to it
+_PAUSE, _RECENT = round(1e9 * PAUSE), round(1e9 * REACTION)  # ns
 
 Flags = NDArray[np.bool_]
 
@@ -25,8 +23,9 @@ class Watch:
     """Finds events in each batch of a picture, and reports them when all nodes have come that far.
 
     Attributes:
-        response: Milliseconds from the start of the newest slip to ``detection``, ``reaction`` and
-            ``stuck``, with ``finger`` and the time ``at``, s; empty before the first slip. Without
+        response: Milliseconds from the start of the newest slip to ``detection``, ``reaction``,
+            ``torque`` and ``stuck``, with ``finger`` and the time ``at``, s; empty before the first
+            slip. ``torque`` is the rise of the norm of the joint torques that acted. Without
             ground truth it starts with the alarm.
     """
 
@@ -35,7 +34,8 @@ class Watch:
         self.response: dict[str, Any] = {}
         self._last: dict[tuple[str, int], tuple[bool, int]] = {}
         self._waiting: list[tuple[int, str, int]] = []
-        self._onset, self._force = 0, np.inf
+        self._before: dict[str, float] = {}
+        self._onset = 0
 
     def step(self, picture: Picture) -> Iterator[dict[str, Any]]:
         """Yield the newest events, each with ``time``, ``kind``, ``finger`` and ``text``."""
@@ -54,27 +54,32 @@ class Watch:
             self._note(stamp, kind, finger, start)
             yield _event(stamp, kind, finger, f"{finger}: {_TEXTS[kind]}".replace("_", " "))
         if self.response:
-            yield from self._reaction(tracks[names.GRASP_FORCE])
+            force, joints = tracks[names.GRASP_FORCE], tracks[names.JOINT_STATES]
+            torque = joints.values[:, -len(picture.joint_names) :]
+            if rise := self._rise("reaction", force.stamps, force.values[:, 1]):
+                yield _event(rise, "reaction", "", "the grasp force rises")
+            self._rise("torque", joints.stamps, np.linalg.norm(torque, axis=1))
             self._end(ended, start)
 
     def _note(self, stamp: int, kind: str, finger: str, start: str) -> None:
         r, since = self.response, stamp - self._onset
         if kind == start and (not r or "stuck" in r or since > _RECENT):
             self.response = {"at": 1e-9 * stamp, "finger": finger}
-            self._onset, self._force = stamp, np.inf
+            self._onset, self._before = stamp, {}
         elif kind == "detection" and r and since <= _RECENT:
             r.setdefault("detection", 1e-6 * since)
 
-    def _reaction(self, force: Track) -> Iterator[dict[str, Any]]:
-        """Look for the first rise of the grasp force above that at the start."""
-        since, values = force.stamps - self._onset, force.values[:, 1]
-        if np.isinf(self._force) and (since < 0).any():
-            self._force = values[since < 0][-1]
-        rows = np.flatnonzero((since >= 0) & (since <= _RECENT) & (values > _RISE * self._force))
-        if len(rows) and "reaction" not in self.response:
-            stamp = int(force.stamps[rows[0]])
-            self.response["reaction"] = 1e-6 * (stamp - self._onset)
-            yield _event(stamp, "reaction", "", "the grasp force rises")
+    def _rise(self, key: str, stamps: NDArray[np.int64], values: NDArray[np.float64]) -> int:
+        """Note and return the stamp, ns, of the first rise above the value at the start, or 0."""
+        since = stamps - self._onset
+        if key not in self._before and (since < 0).any():
+            self._before[key] = (1.0 + RISE) * values[since < 0][-1]
+        limit = self._before.get(key, np.inf)
+        rows = np.flatnonzero((since >= 0) & (since <= _RECENT) & (values > limit))
+        if key in self.response or not len(rows):
+            return 0
+        self.response[key] = 1e-6 * int(since[rows[0]])
+        return int(stamps[rows[0]])
 
     def _end(self, track: Track, start: str) -> None:
         """Note when the last finger stopped, once none has slipped for a while."""

@@ -45,6 +45,7 @@ _PICTURE_PERIOD = 0.8 * PERIOD  # s, shortest; a batch of each node comes in one
 _STATUS_PERIOD = 0.25  # s between two looks at ages and health
 _SILENT = 2.5  # s without diagnostics, which come every second
 _EVENTS = 200  # kept
+_MOMENTS = 1200  # kept, five minutes of them
 _MOST_WAITING = 100  # commands
 _SHOWN = ("rate_hz", "latency_p99_us", "late_commands", "mode", "rejected")
 _STALE = 3
@@ -82,6 +83,7 @@ class CockpitNode(TactileNode[CockpitConfig]):
         self._health: dict[str, dict[str, Any]] = {}
         self._margins: dict[str, str] = {}
         self._epoch, self._due = 0, 0.0
+        self._moments = deque[tuple[float, int]](maxlen=_MOMENTS)
         self.status: dict[str, Any] = _NOTHING
         self._direct: dict[str, Any] = {}
         self._subscribe()
@@ -190,12 +192,13 @@ class CockpitNode(TactileNode[CockpitConfig]):
         if picture.epoch != self._epoch:
             self._epoch, self._watch = picture.epoch, Watch()
             self._events.clear()
+            self._moments.clear()
         for event in self._watch.step(picture):
             self._events.append(event | {"id": self._next()})
         self._show()
 
     def _show(self) -> None:
-        """Make new rows, not more often than somebody can see them."""
+        """Make new rows, at most one picture for each batch."""
         now = time.monotonic()
         if self.picture and now >= self._due and self.picture.advance():
             self._due = now + _PICTURE_PERIOD
@@ -255,6 +258,14 @@ class CockpitNode(TactileNode[CockpitConfig]):
             }
             self._margins |= {k: v for k, v in values.items() if k[:1] == "A" and k[1:2].isdigit()}
 
+    def since(self, last: float) -> float:
+        """Return how long ago the last seconds of simulated time began, s; 0 for all."""
+        if not last or not self._moments or self.picture is None:
+            return 0.0
+        start = self.picture.stamp - round(1e9 * last)
+        earlier = (when for when, stamp in reversed(self._moments) if stamp <= start)
+        return time.monotonic() - next(earlier, self._moments[0][0])
+
     def process_of(self, node: str) -> int | None:
         """Return the process id of a node that shares its process with none."""
         pid = self._health.get(node, {}).get("pid", "")
@@ -264,6 +275,8 @@ class CockpitNode(TactileNode[CockpitConfig]):
     def _on_status(self) -> None:
         self._show()  # the last rows before a pause
         now, nodes = time.monotonic(), []
+        if self.picture is not None:
+            self._moments.append((now, self.picture.stamp))
         for name, each in sorted(self._health.items()):
             age = now - each["received"]
             shown = {key: value for key, value in each.items() if key not in ("received", "pid")}

@@ -38,7 +38,7 @@ def start(
     signals: Signals,
     ros_arguments: Sequence[str],
     program: str,
-    beside: Callable[..., AbstractContextManager[None]] | None = None,
+    companion: Callable[..., AbstractContextManager[None]] | None = None,
 ) -> int:
     """Load the orchestrator, run a scenario and return the exit code; see `execute.execute`."""
     from tactile_hand_ros.ros.middleware import check_environment
@@ -51,7 +51,7 @@ def start(
     from tactile_hand_ros.orchestrator.execute import execute
 
     try:
-        return execute(options, signals, ros_arguments, beside)
+        return execute(options, signals, ros_arguments, companion)
     except Interrupted as interruption:
         say(program, f"{interruption}, before anything was started.")
         return signals.exit_code

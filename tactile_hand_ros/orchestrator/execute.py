@@ -41,11 +41,11 @@ def execute(
     options: RunOptions,
     signals: Signals,
     ros_arguments: Sequence[str] = (),
-    beside: Callable[..., AbstractContextManager[None]] | None = None,
+    companion: Callable[..., AbstractContextManager[None]] | None = None,
 ) -> int:
     """Run a scenario with these options, and return the exit code.
 
-    `beside` makes a context around the run from its plan, its directory and the console.
+    `companion` makes a context around the run from its plan, its directory and the console.
 
     Raises:
         TactileHandError: If the scenario was rejected; nothing was started.
@@ -73,7 +73,7 @@ def execute(
         duration = None if plan.interactive else plan.scenario.duration
         view = View(console, duration, quiet=options.quiet)
         joining = graph_node(ros, ORCHESTRATOR, plan.namespace)
-        with beside(plan, directory, console) if beside else contextlib.nullcontext():
+        with companion(plan, directory, console) if companion else contextlib.nullcontext():
             outcome = Session(plan, directory, signals).run(joining, view)
     return _conclude(plan, directory, outcome, options, signals.exit_code, console)
 

@@ -77,9 +77,12 @@ Kind = Literal[
 SLIDING = 1e-3
 """Minimum speed that counts as slip; slower sliding is the creep of holding contacts, m/s."""
 
-_PAUSE = 0.02  # s; shorter pauses do not split an event
-_RISE = 0.02  # relative rise of the grasp force that counts as a reaction
-_REACTION = 0.25  # s after an alarm during which a rise counts as its reaction
+PAUSE = 0.02
+"""Longest pause that does not split an event, s."""
+RISE = 0.02
+"""Relative rise of the grasp force that counts as a reaction."""
+REACTION = 0.25
+"""Longest time after a slip or an alarm in which a rise belongs to it, s."""
 
 
 @dataclass(frozen=True)
@@ -220,7 +223,7 @@ def _starts(record: Record, flags: Flags) -> list[int]:
     """Return the rows at which flags become set after a pause; the first row does not count."""
     found, ended = [], -math.inf
     for first, after in spans(flags):
-        if first and record.times[first] - ended > _PAUSE:
+        if first and record.times[first] - ended > PAUSE:
             found.append(first)
         ended = record.times[min(after, len(record) - 1)]
     return found
@@ -231,8 +234,8 @@ def _reactions(record: Record) -> list[Event]:
     found: list[Event] = []
     for row in _starts(record, (record.grip == ContactState.SLIP).any(axis=1)):
         start = record.grasp_force[max(0, row - 1)]
-        soon = record.times[row:] <= record.times[row] + _REACTION
-        risen = np.flatnonzero(record.grasp_force[row:][soon] > (1.0 + _RISE) * start)
+        soon = record.times[row:] <= record.times[row] + REACTION
+        risen = np.flatnonzero(record.grasp_force[row:][soon] > (1.0 + RISE) * start)
         text = f"the grasp force rises above {start:.3g} N"
         found += _at(record, row + risen[:1], "reaction", "", text)
     return found

@@ -12,6 +12,9 @@ from tactile_hand_ros.compiled import Array
 from tactile_hand_ros.config.model import Config, param
 from tactile_hand_ros.rotations import Vector, rotation_from_vector, vector_from_rotation
 
+_QUICKNESS = 5.0  # 1/s; a forearm turns to where its user wants it in about a second, 5 / 5 s
+_REACHED = 1e-6  # rad, and rad/s; far below what a hand could sense
+
 
 class PalmTurn(Config):
     """An orientation of the palm in the world and its time."""
@@ -33,6 +36,11 @@ class Turning(NamedTuple):
     rate: Array
     acceleration: Array
 
+    @property
+    def rests(self) -> bool:
+        """Whether the palm stands still."""
+        return not (self.rate.any() or self.acceleration.any())
+
 
 def palm_turning(turns: Sequence[PalmTurn], time: float) -> Turning:
     """Return the motion of the palm at a time, s.
@@ -52,6 +60,43 @@ def palm_turning(turns: Sequence[PalmTurn], time: float) -> Turning:
             return Turning(at @ rotation_from_vector(s * way), rate * way, gain * way)
         at, start = goal, turn.time
     return Turning(at, np.zeros(3), np.zeros(3))
+
+
+class UserTurn:
+    """Rotation of the palm by a user who may want another orientation at any time.
+
+    Attributes:
+        now: Rotation in the world, and its rates.
+    """
+
+    def __init__(self) -> None:
+        """Start unturned and at rest."""
+        self.now = Turning(np.eye(3), np.zeros(3), np.zeros(3))
+
+    def step(self, goal: Vector, h: float) -> None:
+        """Move for a time h, s, towards a rotation vector, rad: critically damped, about one axis.
+
+        With the way w that is left and the angular velocity W, W' = k^2 w - 2 k W.
+        """
+        (rotation, rate, _), k = self.now, _QUICKNESS
+        wanted = rotation_from_vector(goal)
+        way = vector_from_rotation(rotation.T @ wanted)
+        if max(np.abs(way).max(), np.abs(rate).max()) < _REACHED:
+            self.now = Turning(wanted, np.zeros(3), np.zeros(3))
+            return
+        gain = k * k * way - 2.0 * k * rate
+        rate = rate + h * gain
+        self.now = Turning(rotation @ rotation_from_vector(h * rate), rate, gain)
+
+
+def turned_by(outer: Turning, inner: Turning) -> Turning:
+    """Return the motion R = R_outer R_inner; the rates of both are in their own turned axes."""
+    carried = inner.rotation.T @ outer.rate
+    return Turning(
+        outer.rotation @ inner.rotation,
+        carried + inner.rate,
+        inner.rotation.T @ outer.acceleration + inner.acceleration + np.cross(carried, inner.rate),
+    )
 
 
 def apparent_wrench(turning: Turning, body: tuple[float, Array], motion: Sequence[Array]) -> Array:

@@ -35,7 +35,13 @@ from tactile_hand_ros.simulation.contact_step import (
 )
 from tactile_hand_ros.simulation.coulomb import RELAXED, UNSOLVED
 from tactile_hand_ros.simulation.joint_sensor import JointReading, JointSensor
-from tactile_hand_ros.simulation.palm_motion import Turning, apparent_wrench, palm_turning
+from tactile_hand_ros.simulation.palm_motion import (
+    Turning,
+    UserTurn,
+    apparent_wrench,
+    palm_turning,
+    turned_by,
+)
 from tactile_hand_ros.simulation.plant_config import PlantConfig, external_wrench
 from tactile_hand_ros.simulation.skin import TactileReading
 
@@ -131,7 +137,7 @@ class Plant:
         self.reset()
 
     def configure(self, config: PlantConfig) -> None:
-        """Change friction and mass of the object, also for the time after a reset."""
+        """Change friction, mass and `palm_turn`, also for the time after a reset."""
         self.config = config
         self.friction[:] = config.object.friction
         self._load_object()
@@ -174,6 +180,7 @@ class Plant:
         self.friction = np.full(self.hand.fingers, c.friction)
         self._torque = np.zeros(self.hand.joints)
         self.push(np.zeros(6), 0.0)
+        self._user_turn = UserTurn()
         self._turn_palm(0.0)
         self.relaxed_steps = self.unsolved_steps = 0
         self._slides = np.zeros(self.hand.joints)  # directions in which joints slide, 0 at rest
@@ -249,9 +256,11 @@ class Plant:
         while self._changes and self._changes[0].start <= self.time:
             self.friction[:] = self._changes.pop(0).friction
         now, m, middle = self._now, self.hand.joints, self.time + 0.5 * h
+        if self.config.palm_motion:
+            self._user_turn.step(self.config.palm_turn, h)
         turning = self._turn_palm(middle)
         wrench, turns = self._weight, None
-        if turning is not None:
+        if turning is not None and not turning.rests:
             theta, ahead = half_step(h, now)
             turns = self.hand.turning_torque(theta, ahead[:m], *turning[1:])
             body_motion = now.position, ahead[m : m + 3], ahead[m + 3 :]
@@ -336,17 +345,20 @@ class Plant:
         """Turn gravity with the palm at a time, s; return its motion, None if it never turns."""
         if not self.config.palm_motion:
             return None
-        turning = palm_turning(self.config.palm_motion, time)
+        turning = self._turning(time)
         gravity = turning.rotation.T @ self._gravity
         self.model.gravity = turning.rotation.T @ np.array(self.config.gravity)
         self.hand.gravity = gravity
         self._weight = np.concatenate([self._world.mass * gravity, np.zeros(3)])
         return turning
 
+    def _turning(self, time: float) -> Turning:
+        return turned_by(self._user_turn.now, palm_turning(self.config.palm_motion, time))
+
     @property
     def _palm(self) -> Array | None:
         turns = self.config.palm_motion
-        return quaternion_from_rotation(palm_turning(turns, self.time).rotation) if turns else None
+        return quaternion_from_rotation(self._turning(self.time).rotation) if turns else None
 
     @property
     def state(self) -> PlantState:

@@ -197,6 +197,12 @@ class PlantConfig(Config):
     palm_motion: list[PalmTurn] = param(
         [], "orientations of the palm in the world over time; with any, `imu` is published"
     )
+    palm_turn: Vector = param(
+        (0.0, 0.0, 0.0),
+        "rotation vector of the palm in the world by a user, after palm_motion; needs palm_motion",
+        unit="rad",
+        live=True,
+    )
     engine: Literal["own", "mujoco"] = param("own", "physics engine; mujoco needs mujoco-core")
     time_step: float = param(0.001, "integration step", unit="s", ge=1e-5, le=0.01)
     rate: float = param(500.0, "ticks per second of simulated time", unit="Hz", gt=0.0, le=10000.0)
@@ -244,6 +250,15 @@ class PlantConfig(Config):
         times = [turn.time for turn in self.palm_motion]
         if times != sorted(set(times)):
             raise ValueError(f"palm_motion has the times {times}, expected each after the last")
+        return self
+
+    @model_validator(mode="after")
+    def _a_palm_that_turns_has_an_imu(self) -> PlantConfig:
+        if any(self.palm_turn) and not self.palm_motion:
+            raise ValueError(
+                f"palm_turn is {self.palm_turn}, but without palm_motion the hand has no imu and "
+                "could not know; start with palm_motion=[{time: 0, rotation: [0, 0, 0]}]"
+            )
         return self
 
     @model_validator(mode="after")

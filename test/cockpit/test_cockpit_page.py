@@ -24,7 +24,13 @@ from tactile_hand_ros.scenario.scenario import load_scenario
 
 # Lockstep, so that a slow browser on a busy computer slows time down but not the hand.
 SCENARIO = load_scenario(
-    "gravity", {"duration": 3600.0, "plant.speed": 1.0, "plant.object.friction": 0.4}
+    "gravity",
+    {
+        "duration": 3600.0,
+        "plant.speed": 1.0,
+        "plant.object.friction": 0.4,
+        "plant.palm_motion": [{"time": 0.0, "rotation": [0.0, 0.0, 0.0]}],
+    },
 )
 
 
@@ -146,6 +152,24 @@ def test_a_pull_slips_and_is_caught(page: Page, hand: tuple[Graph, str]) -> None
     assert page.driver.find_element(By.CSS_SELECTOR, ".response .step b").text != "\u2013"
     page.wait(lambda: np.allclose(row(page, "push"), 0.0))
     assert np.isfinite(graph.contacts).all(), "the object was dropped"
+
+
+def test_a_slider_turns_the_palm_and_an_arrow_shows_where_up_is(page: Page) -> None:
+    turn = """const slider = document.querySelector("#set-tilt-x"); slider.value = arguments[0];
+        slider.dispatchEvent(new Event("change"))"""
+    half = np.sin(np.radians(15.0))
+    page.js(turn, 30)
+    page.wait(
+        lambda: row(page, "palm") == pytest.approx([half, 0, 0, np.sqrt(1 - half**2)], abs=5e-3)
+    )
+    page.js("report.up()")
+    up = page.js(
+        "return report.up.arrow.localToWorld(report.up.arrow.position.clone().setY(1)).toArray()"
+    )
+    assert up == pytest.approx([0.0, 0.5, np.sqrt(0.75)], abs=0.02)
+    page.js(turn, 0)
+    page.wait(lambda: abs(row(page, "palm")[0]) < 5e-3)
+    assert np.isfinite(row(page, "contact_positions")).all()
 
 
 def test_a_push_of_a_dead_tab_ends(page: Page) -> None:

@@ -54,7 +54,7 @@ class PlantNode(TactileNode[PlantConfig]):
     a paused run by one tick, `~/reset` (std_srvs/Trigger) goes
     back to the start at stamp 0.
 
-    Parameters: the fields of `PlantConfig`; `object.friction`, `object.mass` and
+    Parameters: the fields of `PlantConfig`; `object.friction`, `object.mass`, `palm_turn` and
     `speed` are live.
     """
 
@@ -89,7 +89,7 @@ class PlantNode(TactileNode[PlantConfig]):
         self._driver.begin()
 
     def on_config(self, config: PlantConfig) -> None:
-        """Apply a changed friction, mass or speed."""
+        """Apply a changed friction, mass, orientation or speed."""
         self._run.plant.configure(config)
         self._driver.limit_speed(config.speed)
 

@@ -237,3 +237,15 @@ def test_the_bag_of_a_run_is_found_in_its_folder(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path / "run" / "bag")
     shutil.rmtree(tmp_path / "run" / "bag_recovered")
     assert recover(".").target.resolve() == tmp_path / "run" / "bag_recovered"
+
+
+def test_the_last_seconds_are_those_received_last_and_all_of_a_latched_topic(tmp_path):
+    with BagWriter(tmp_path / "run", chunk_size=2000) as writer:
+        latched = writer.add_channel("/latched", STRING, offers=[LATCHED], type_hash=HASH)
+        ticks = writer.add_channel("/ticks", STRING, type_hash=HASH)
+        writer.write(latched, payload(0), 10**9, 10**9)
+        for i in range(101):
+            writer.write(ticks, payload(i), 10**9 + 10**8 * i, 0)
+    kept = recover(tmp_path / "run", tmp_path / "out", last=2.0).target
+    sent = [(m.topic, m.data) for m in read_messages(kept)]
+    assert sent == [("/latched", payload(0)), *(("/ticks", payload(i)) for i in range(80, 101))]

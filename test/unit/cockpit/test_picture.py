@@ -12,7 +12,13 @@ from tactile_hand_ros import names
 from tactile_hand_ros.cockpit.events import Watch
 from tactile_hand_ros.cockpit.picture import KEPT, ROWS_PER_BATCH, Picture
 from tactile_hand_ros.control.slip.detector import ContactState
-from tactile_hand_ros.ros.messages import ContactsCodec, JointCodec, PoseCodec, WrenchCodec
+from tactile_hand_ros.ros.messages import (
+    ContactsCodec,
+    ImuCodec,
+    JointCodec,
+    PoseCodec,
+    WrenchCodec,
+)
 
 FINGERS = ("finger_1", "finger_2")
 MS = 1_000_000
@@ -24,6 +30,7 @@ def batch(
     slip: Sequence[float] = (0.0, 0.0),
     grip: int = ContactState.STICK,
     force: float = 10.0,
+    torque: float = 0.5,
 ) -> Batch:
     """Return the messages of some ticks, ms; of finger 2 only, the alarm is `grip`."""
     found: Batch = {}
@@ -37,12 +44,16 @@ def batch(
         places = np.array([[0.1, 0.2, 0.3], [0.4, 0.5, 0.6]])
         messages = {
             names.JOINT_STATES: joints.encode(
-                stamp, np.array([0.1, 0.2, 0.3]), np.array([1.0, 2.0, 1e-3 * tick]), np.zeros(3)
+                stamp,
+                np.array([0.1, 0.2, 0.3]),
+                np.array([1.0, 2.0, 1e-3 * tick]),
+                np.full(3, torque),
             ),
             names.CONTACTS: ContactsCodec(2).encode(places, np.tile(turn, (2, 1)), stamp),
             names.GRASP_FORCE: WrenchCodec("palm").encode([0.0, force, 0.0], stamp),
             names.GRIP_STATE: state,
             names.TRUE_SLIP: sliding,
+            names.IMU: ImuCodec().encode(np.array([0.6, 0.0, 0.8, 0.0]), stamp),
             names.AUXILIARY_POSE: PoseCodec().encode(np.array([1.0, 2.0, 3.0]), turn, stamp),
         }
         for i, name in enumerate(FINGERS):
@@ -96,6 +107,7 @@ def test_a_row_has_the_numbers_of_its_tick(picture: Picture) -> None:
         "grip": [1.0, 1.0],
         "grasp_force": [10.0],
         "push": [0.0] * 6,
+        "palm": [0.6, 0.0, 0.8, 0.0],
     }
     for name, values in known.items():
         np.testing.assert_allclose(shown(picture, name)[-1], values, rtol=1e-6, err_msg=name)
@@ -152,7 +164,7 @@ def test_a_message_of_another_type_is_rejected_and_the_rest_is_shown(picture: Pi
     wider = JointCodec(["a"], ("position", "velocity", "effort"))
     narrow = {names.JOINT_STATES: [wider.encode(4 * MS, *[np.zeros(1)] * 3)]}
     (error,) = take(picture, narrow)
-    assert "2 numbers, expected 6" in error
+    assert "3 numbers, expected 9" in error
     assert picture.total == 1
 
 
@@ -164,7 +176,7 @@ def test_the_course_of_a_slip_in_milliseconds(picture: Picture) -> None:
         batch(8, slip=(0.0, 0.02), grip=ContactState.SLIP),
         batch(9, grip=ContactState.SLIP),  # too short a pause for a second slip
         batch(10, slip=(0.0, 0.02), grip=ContactState.SLIP, force=12.0),
-        batch(12, 30, 34, force=12.0),
+        batch(12, 30, 34, force=12.0, torque=0.6),
     ):
         take(picture, messages)
         events += list(watch.step(picture))
@@ -173,7 +185,7 @@ def test_the_course_of_a_slip_in_milliseconds(picture: Picture) -> None:
         (0.008, "detection", "finger_2"),
         (0.01, "reaction", ""),
     ]
-    known = {"detection": 4.0, "reaction": 6.0, "stuck": 6.0}
+    known = {"detection": 4.0, "reaction": 6.0, "torque": 8.0, "stuck": 6.0}
     assert watch.response == {"at": 0.004, "finger": "finger_2"} | known
     take(picture, batch(36, slip=(0.0, 0.01)))  # a pause of 26 ms: the next slip
     assert [e["kind"] for e in watch.step(picture)] == ["slip"]

@@ -9,9 +9,17 @@ from numpy.testing import assert_allclose
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
 from tactile_hand_ros.errors import ConfigurationError
 from tactile_hand_ros.hand.hand import Hand
-from tactile_hand_ros.rotations import rotation_from_vector
+from tactile_hand_ros.rotations import rotation_from_quaternion, rotation_from_vector
 from tactile_hand_ros.scenario.scenario import load_scenario
-from tactile_hand_ros.simulation.palm_motion import PalmTurn, apparent_wrench, palm_turning
+from tactile_hand_ros.simulation.palm_motion import (
+    PalmTurn,
+    Turning,
+    UserTurn,
+    apparent_wrench,
+    palm_turning,
+    turned_by,
+)
+from tactile_hand_ros.simulation.plant import Plant
 
 TURNS = [
     PalmTurn(time=0.5, rotation=(0.4, -1.0, 0.3)),
@@ -95,3 +103,39 @@ def test_turns_in_no_order_are_refused():
     motion = [{"time": 1.0, "rotation": [0.0, 0.0, 1.0]}] * 2
     with pytest.raises(ConfigurationError, match="expected each after the last"):
         load_scenario("hold", {"plant.palm_motion": motion})
+
+
+def test_a_user_turns_the_palm_on_top_of_its_motion_with_the_right_rates():
+    user, h = UserTurn(), 1e-5
+    for _ in range(30_000):
+        user.step((0.5, 1.0, -0.2), h)
+    reached = []
+    for sign in (-1.0, 0.0, 1.0):
+        turn = sign * h * (user.now.rate + 0.5 * sign * h * user.now.acceleration)
+        moved = Turning(
+            user.now.rotation @ rotation_from_vector(turn),
+            user.now.rate + sign * h * user.now.acceleration,
+            user.now.acceleration,
+        )
+        reached.append(turned_by(moved, palm_turning(TURNS, 0.3 + sign * h)))
+    before, at, after = reached
+    spin = at.rotation.T @ (after.rotation - before.rotation) / (2.0 * h)
+    assert_allclose([spin[2, 1], spin[0, 2], spin[1, 0]], at.rate, atol=1e-7)
+    assert_allclose((after.rate - before.rate) / (2.0 * h), at.acceleration, atol=1e-6)
+
+
+def test_a_palm_follows_a_user_within_a_second_and_its_hand_knows():
+    config = load_scenario("hold", {"plant.palm_motion": [{"time": 0.0, "rotation": [0.0] * 3}]})
+    plant = Plant(config.plant)
+    plant.configure(config.plant.changed({"palm_turn": (1.2, 0.3, 0.0)}))
+    for _ in range(round(1.2 * config.plant.rate)):
+        state = plant.advance(np.zeros(plant.hand.joints))
+    goal = rotation_from_vector([1.2, 0.3, 0.0])
+    assert_allclose(rotation_from_quaternion(state.palm), goal, atol=0.03)
+    assert_allclose(plant.model.gravity, goal.T @ np.array(config.plant.gravity), atol=0.3)
+    assert plant.reset().palm == pytest.approx([0.0, 0.0, 0.0, 1.0])
+
+
+def test_a_palm_without_an_imu_cannot_be_turned():
+    with pytest.raises(ConfigurationError, match="without palm_motion the hand has no imu"):
+        load_scenario("hold", {"plant.palm_turn": [0.1, 0.0, 0.0]})

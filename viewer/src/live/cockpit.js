@@ -4,6 +4,7 @@
 import * as THREE from "three";
 import { Chart } from "../charts/chart.js";
 import { runCharts } from "../charts/run.js";
+import { rowOf } from "../data.js";
 import { el, icon } from "../dom.js";
 import { listenToKeys } from "../keyboard.js";
 import { stage } from "../page/stage.js";
@@ -70,6 +71,7 @@ function picture(page) {
     player.advance(time[0], time[time.length - 1]);
     if (player.playing) plots(page);
     page.handles?.follow();
+    page.up?.();
   }
   source.ready();
 }
@@ -125,6 +127,7 @@ function hands(page, viewport) {
   viewport.append(force);
   const told = (newtons) => (force.textContent = newtons === null ? "" : `${newtons.toFixed(1)} N`);
   page.handles = new Handles(scene, source, canvas, page.say);
+  page.up = upArrow(scene, source);
   if (!source.run.object) return;
   page.spring = new Spring(scene, source, canvas, told);
   page.spring.wanted = () => source.drives && page.player.playing && !page.handles.busy;
@@ -136,6 +139,20 @@ function hands(page, viewport) {
     page.spring.target.addScaledVector(new THREE.Vector3(...direction), newtons / page.spring.stiffness);
     setTimeout(() => page.spring.release(), 1000 * seconds);
   };
+}
+
+/** Add an arrow that points up in the world, while an IMU tells where that is; returns its update. */
+function upArrow(scene, source) {
+  const length = 0.8 * scene.size;
+  const arrow = new THREE.ArrowHelper(new THREE.Vector3(0, 0, 1), new THREE.Vector3(), length, 0x8a8f98, 0.15 * length, 0.08 * length);
+  scene.scene.add(arrow);
+  const palm = new THREE.Quaternion();
+  const update = () => {
+    const rotation = rowOf(source.run.columns.palm, scene.row);
+    arrow.visible = Number.isFinite(rotation[0]);
+    if (arrow.visible) arrow.setDirection(new THREE.Vector3(0, 0, 1).applyQuaternion(palm.set(...rotation).conjugate()));
+  };
+  return Object.assign(update, { arrow });
 }
 
 function bar(page) {

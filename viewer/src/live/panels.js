@@ -5,8 +5,10 @@ import { el } from "../dom.js";
 
 const LEVELS = ["good", "warned", "bad", "stale"];
 const WORDS = ["ok", "warning", "error", "silent"];
-const STEPS = [["detection", "detected"], ["reaction", "k_f rises"], ["stuck", "sticks again"]];
+const STEPS = [["onset", "onset"], ["detection", "detected"], ["reaction", "k_f rises"], ["torque", "torque rises"], ["stuck", "sticks again"]];
 const BREAKS = { A2: 0, A4: 0, A6: 0, A7: 1e-3 }; // margins at and below which an assumption is broken
+
+const LAW = "Gains change while the hand holds. The law itself cannot: a new law starts without the load that the old one carries, so the object would drop. Start another run with --set manipulation_controller.law.name=...";
 
 /** Make a panel with a title; `update` replaces its rows. */
 function panel(title, small, name) {
@@ -59,7 +61,8 @@ export function assumptions(source) {
 export function response(source) {
   const { element, body } = panel("Last slip", "ms from its start", "response");
   const update = () => {
-    const { at, finger, ...steps } = source.status.response;
+    const { at, finger, ...later } = source.status.response;
+    const steps = { onset: 0, ...later };
     if (at === undefined) {
       body.replaceChildren(el("p", { class: "hint" }, "Nothing has slipped yet. Pull at the object, or wet it."));
       return;
@@ -84,14 +87,15 @@ export function parameters(source, act) {
       const { ok, text } = await act({ do: "parameters", node });
       if (ok) rows.replaceChildren(...JSON.parse(text).map((one) => field(node, one, act)));
     };
-    body.append(el("details", { ontoggle: opened }, el("summary", {}, node.replaceAll("_", " ")), rows));
+    const why = node === "manipulation_controller" ? el("p", { class: "hint" }, LAW) : null;
+    body.append(el("details", { ontoggle: opened }, el("summary", {}, node.replaceAll("_", " ")), ...[why].filter(Boolean), rows));
   }
   return { element, update: () => {} };
 }
 
 function field(node, { name, value, meaning, unit, choices, min, max }, act) {
   const change = async () => {
-    const given = typeof value === "boolean" ? input.checked : typeof value === "number" ? Number(input.value) : input.value;
+    const given = Array.isArray(value) ? input.value.split(",").map(Number) : typeof value === "boolean" ? input.checked : typeof value === "number" ? Number(input.value) : input.value;
     const { ok } = await act({ do: "set", node, name, value: given });
     if (ok) value = given;
     else put();
