@@ -272,7 +272,9 @@ class SlipRegulator:
         state = self._detector.step(forces, axes, np.zeros_like(axes), fresh, dt, freedoms=1)
         self.needed = self.ready = math.nan
         self._required.lose()
-        self.carried = self._carried(contacts.rotations)
+        load = np.einsum("kji,kj->ki", contacts.rotations, self._required.load)
+        usable = self.learned_friction / (1.0 + c.reflex.margin)
+        self.carried = CarriedLoad(load, usable, self._required.reserve)
         if c.mode == "user":
             return
         if (state == ContactState.SLIP).any():
