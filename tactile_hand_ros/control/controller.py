@@ -623,8 +623,9 @@ class Controller:
         """
         fingers, c = self._fingers.fingers, self.config
         if c.law.name == "grip":
-            if not self._keeps_posture:
+            if not self._keeps_posture or fingers != self._fitted_fingers:
                 self._keeps_posture, self._posture = True, theta.copy()
+                self._fitted_fingers = fingers
                 self._free = kept_contacts(self._fingers, theta, contacts)
             return
         known = self._fitted_to == self._period and fingers <= self._fitted_fingers
