@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The web server of the cockpit: one page, one WebSocket per tab, in a thread of its own.
 
-Only who has the link gets in: it has a token. The Host and Origin of each request must be those of
-the link, so that no other site of the browser, and no name that another site lets point here, can
+Only requests with the token of the link are served. Their Host and Origin must be those of the
+link, so that no other site of the browser, and no name that another site lets point here, can
 use it. A tab asks for a picture when it has drawn the last one. A slow or suspended tab therefore
 gets fewer pictures, never old ones, and costs nothing. Commands are answered, each with its number.
 """
@@ -103,7 +103,7 @@ class Server:
     """Serves a host until `close`.
 
     Attributes:
-        link: The address with the token; who has it may watch and steer.
+        link: The address with the token; anyone who has it may watch and steer.
     """
 
     def __init__(self, host: Host, page: str, address: str, port: int) -> None:

@@ -131,7 +131,7 @@ function hands(page, viewport) {
   if (!source.run.object) return;
   page.spring = new Spring(scene, source, canvas, told);
   page.spring.wanted = () => source.drives && page.player.playing && !page.handles.busy;
-  /** Pull at the center along an axis of the palm for some time, for who has no mouse. */
+  /** Pull at the center along an axis of the palm for some time, without a mouse. */
   page.pull = (direction, newtons, seconds) => {
     if (!scene.solid?.known || page.spring.holds) return;
     const center = scene.solid.group.position.clone();

@@ -28,7 +28,7 @@ export function controls(page) {
     return el("div", { class: "row" }, el("label", { for: input.id }, label), input, out);
   };
   const set = (node, name) => (given) => act({ do: "set", node, name, value: given });
-  const tilts = ["x", "y"].map((axis) => slider(`tilt-${axis}`, `palm about ${axis}`, "\u00b0", { min: -90, max: 90, step: 1, send: () => turn() }));
+  const tilts = ["x", "y"].map((axis) => slider(`tilt-${axis}`, `tilt ${axis}`, "\u00b0", { min: -90, max: 90, step: 1, send: () => turn() }));
   const turn = () => set("plant", "palm_turn")([...["x", "y"].map((axis) => (Number(element.querySelector(`#set-tilt-${axis}`).value) * Math.PI) / 180), 0]);
   const request = (given) => {
     if (mode.value === "auto") page.say("The regulator chooses the grasp force itself; let user or shared choose it.");
