@@ -49,6 +49,7 @@ _MIDDLE = 0.03  # weight of joint angles in the middle of their range
 _OUTSIDE = 0.9  # of the range of a joint, from which more is avoided
 _NO_SPAN = 1e-9  # rad or m, range of a joint that cannot move
 _NO_SPEED = 1e-3  # m/rad, singular value of a direction in which a tip does not move (A5)
+_PRESS = 0.25  # of a normal; below, a tip moves sideways four times as far as it presses
 _ROOM = 0.25  # of the ways to joint limits and rims, that a grasp needs to be moved
 _TOUCH = 1e-4  # m; further away, a tip does not touch
 # Observer of a hand that keeps its posture at the bandwidth w = 125 rad/s of a hold at 1 kHz. The
@@ -307,6 +308,9 @@ class _Problem:
             check_joints(hand_jacobian(fingertips, points, contacts.rotations))
         except GraspError:
             return None, "contacts are on one line, or the hand is singular (A5, A7)"
+        presses = list(map(_pressing, fingertips.linear, normals))
+        if (press := min(presses)) < _PRESS:
+            return None, f"{hand.finger_names[presses.index(press)]} cannot press where it touches"
         optimal = ForceOptimizer(ForceOptimizerConfig(), hand.fingers).solve(contacts)
         if not optimal.ok:
             return None, optimal.reason
@@ -328,7 +332,6 @@ class _Problem:
         pose = x[-6:-3].copy(), vector_from_rotation(turn)
         found = theta.copy(), *pose, contacts, needed, load / (friction - needed), left, load
         motions = motions_of_object(hand, theta, contacts)
-        press = min(map(_pressing, fingertips.linear, normals))
         return FoundGrasp(*found, motions, press), ""
 
 
