@@ -114,7 +114,7 @@ def search(
         advance: Called after each start with what is tried; there are `number_of_starts`.
 
     Raises:
-        GraspError: If there is none, with the reason that came up most.
+        GraspError: If there is none, with the reasons that came up most.
     """
     relied, links = expected_friction(body.friction), LinkCollisions(hand, body.solid())
     random, found, reasons = np.random.default_rng(seed), list[FoundGrasp](), list[str]()
@@ -131,7 +131,7 @@ def search(
                 found.append(grasp)
             advance(f"{hand.finger_names[alone]} against the others")
     if not found:
-        most = max(set(reasons), key=reasons.count)
+        most = ", then ".join(sorted(set(reasons), key=reasons.count)[:-3:-1])
         raise GraspError(
             f"no grasp of a {body.shape} of {' x '.join(f'{1e3 * edge:g}' for edge in body.size)} "
             f"mm was found from {len(reasons)} postures; most often {most}. Try another size, or "
