@@ -76,21 +76,18 @@ def notes(hand: Hand) -> list[str]:
         if values.any():
             text = f"{name}: the file states {values[values > 0.0].min():.3g} to {values.max():.3g}"
             found.append(f"{text} {unit}, which the simulation {use} (`joint_losses` in the YAML)")
-    weak = np.flatnonzero(hand.friction >= hand.effort_limits).tolist()
+    names = np.array(hand.joint_names)
+    weak = ", ".join(names[hand.friction >= hand.effort_limits])
     if hand.has_losses and weak:
-        found.append(f"{_named(hand, weak)}: friction is above the largest torque; nothing moves")
-    if free := np.flatnonzero(hand.effort_limits >= _ENDLESS).tolist():
+        found.append(f"{weak}: friction is above the largest torque; nothing moves")
+    if free := ", ".join(names[hand.effort_limits >= _ENDLESS]):
         found.append(
-            f"{_named(hand, free)}: the file states no torque limit, or one of no hand; give it "
+            f"{free}: the file states no torque limit, or one of no hand; give it "
             "under 'limits' in the YAML, or under 'couplings' for a joint that follows another"
         )
     if not LinkCollisions(hand, Solid.box(np.ones(3))).names:
         found.append("without collision shapes of links, no check sees them inside an object")
     return found
-
-
-def _named(hand: Hand, joints: list[int]) -> str:
-    return ", ".join(hand.joint_names[i] for i in joints)
 
 
 def draw(hand: Hand, folder: Path, name: str) -> list[Path]:

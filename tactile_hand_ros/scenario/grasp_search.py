@@ -49,6 +49,7 @@ _MIDDLE = 0.03  # weight of joint angles in the middle of their range
 _OUTSIDE = 0.9  # of the range of a joint, from which more is avoided
 _NO_SPAN = 1e-9  # rad or m, range of a joint that cannot move
 _NO_SPEED = 1e-3  # m/rad, singular value of a direction in which a tip does not move (A5)
+_PRESS = 0.25  # of a normal; below, a tip moves sideways four times as far as it presses
 _ROOM = 0.25  # of the ways to joint limits and rims, that a grasp needs to be moved
 _TOUCH = 1e-4  # m; further away, a tip does not touch
 # Observer of a hand that keeps its posture at the bandwidth w = 125 rad/s of a hold at 1 kHz. The
@@ -110,7 +111,7 @@ def search(
         advance: Called after each start with what is tried; there are `number_of_starts`.
 
     Raises:
-        GraspError: If there is none, with the reason that came up most.
+        GraspError: If there is none, with the reasons that came up most.
     """
     relied, links = expected_friction(body.friction), LinkCollisions(hand, body.solid())
     random, found, reasons = np.random.default_rng(seed), list[FoundGrasp](), list[str]()
@@ -127,7 +128,7 @@ def search(
                 reasons.append(str(error))
             advance(f"{hand.finger_names[alone]} against the others")
     if not found:
-        most = max(set(reasons), key=reasons.count)
+        most = ", then ".join(sorted(set(reasons), key=reasons.count)[:-3:-1])
         raise GraspError(
             f"no grasp of a {body.shape} of {' x '.join(f'{1e3 * edge:g}' for edge in body.size)} "
             f"mm was found from {len(reasons)} postures; most often {most}. Try another size, or "
@@ -305,6 +306,10 @@ class _Problem:
             raise GraspError(f"no room is left of the way of {end_of(hand, int(ways.argmin()))}")
         check_spread(points)
         check_joints(hand_jacobian(fingertips, points, contacts.rotations))
+        presses = list(map(_pressing, fingertips.linear, normals))
+        if (press := min(presses)) < _PRESS:
+            weakest = hand.finger_names[presses.index(press)]
+            raise GraspError(f"{weakest} cannot press where it touches")
         optimal = ForceOptimizer(ForceOptimizerConfig(), hand.fingers).solve(contacts)
         if not optimal.ok:
             raise GraspError(optimal.reason)
@@ -326,7 +331,6 @@ class _Problem:
         pose = x[-6:-3].copy(), vector_from_rotation(turn)
         found = theta.copy(), *pose, contacts, needed, load / (friction - needed), left, load
         motions = motions_of_object(hand, theta, contacts)
-        press = min(map(_pressing, fingertips.linear, normals))
         return FoundGrasp(*found, motions, press)
 
 

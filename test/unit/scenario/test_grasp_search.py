@@ -142,6 +142,13 @@ def test_a_grasp_whose_fingers_can_press_along_the_normals_comes_first(tmp_path,
         assert np.linalg.norm(jacobian @ speed) >= best.press - 1e-6
 
 
+def test_a_finger_that_cannot_press_where_it_touches_is_named(tmp_path, monkeypatch):
+    monkeypatch.setattr(grasp_search, "_PRESS", 1.1)
+    hand = Hand.load(str(write_hand(tmp_path, [2, 2])), gravity=DOWN)
+    with pytest.raises(GraspError, match="most often f[12] cannot press where it touches"):
+        search(hand, body_of((0.2, 0.15, 0.3)))
+
+
 def test_a_straight_hand_is_no_grasp(monkeypatch):
     """It would be refused when the run starts."""
     monkeypatch.setattr(grasp_search, "check_joints", partial(check_joints, minimum=1.0))
