@@ -137,9 +137,13 @@ class Plant:
         self.reset()
 
     def configure(self, config: PlantConfig) -> None:
-        """Change friction, mass and `palm_turn`, also for the time after a reset."""
+        """Change friction, mass and `palm_turn`, also for the time after a reset.
+
+        Only a changed friction replaces that of the contacts, which `friction_changes` may have set.
+        """
+        if config.object.friction != self.config.object.friction:
+            self.friction[:] = config.object.friction
         self.config = config
-        self.friction[:] = config.object.friction
         self._load_object()
 
     def _load_object(self) -> None:

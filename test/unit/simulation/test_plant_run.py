@@ -101,7 +101,9 @@ def test_a_push_moves_the_object_until_it_is_not_renewed_and_a_live_mass_counts(
     run.push(run.stamp - 150_000_000, push)  # has traveled for long
     assert speed_after(100) == pytest.approx(0.3 + 0.3 * 0.05 / 0.2)
     run.push(run.stamp + 10**12, push)  # from another clock: it does not last longer
+    run.plant.friction[1] = 0.1  # as by `friction_changes`; only a new friction ends it
     run.plant.configure(run.plant.config.changed({"object.mass": 0.4}))
+    assert run.plant.friction[1] == 0.1
     before = run.state.velocity[1]
     assert speed_after(1000) == pytest.approx(before + 0.3 * 0.2 / 0.4)
     run.push(0, push)
