@@ -35,7 +35,7 @@ from tactile_hand_ros.hand.hand import Dynamics, Fingertips, Hand
 
 _PHASE = 0.5  # w d: leaves 17 degrees of phase at the longest delay, 47 at half of it
 _DAMPING_PHASE = 1.25  # w d of damping alone: leaves 18 degrees
-_POSE_PHASE = 0.25  # loss of phase of the stiffness by the age of touch
+_POSE_PHASE = 0.25  # loss of phase of the stiffness by the age of touch, and loss of damping
 _SHAKE = 0.03  # of a finger's weight, by angle errors; the grasp force has 0.6 in reserve
 _MARGIN = 1.5  # of the stiffness over the buckling limit
 _MAX_OFFSET, _MAX_RATE = np.pi, 1e3  # rad and rad/s; keep the torque finite
@@ -228,11 +228,10 @@ def fitted_gains(
 
     Torques that are held for T make fingers oscillate at w = 2 / T. An object adds inertia, so w is
     at most 1 / T. Torques that are n ticks late cost the phase w (n + 1/2) T of the damping, at
-    most 72 of its 90 degrees. Directions of forces f that are d old cost the damping K_geo d, at
-    most that of w = w_r^2 d, with the bandwidth w_r of a hold at that k_f. This is w, unless angle
-    errors allow more: a larger w bears less delay of the torques. A pose that is t late costs a
-    phase p of the stiffness. Rates that do not move the object are damped as much as angle errors
-    allow.
+    most 72 of its 90 degrees. Directions of forces f that are d old cost the damping K_geo d, a
+    fraction p of it at w = w_r^2 d / p, with the bandwidth w_r of a hold at that k_f. This is w,
+    unless angle errors allow more. A pose that is t late costs a phase p of the stiffness. Rates
+    that do not move the object are damped as much as angle errors allow.
 
     Args:
         hand: The hand.
@@ -261,7 +260,7 @@ def fitted_gains(
         fraction = per_error * _POSE_PHASE / (touch + follows)
         stiffness[part, part] = fraction * (moved.T @ damping @ moved)
     required = required_bandwidth(hand, theta, contacts, forces, motions)
-    needed = required**2 * touch
+    needed = required**2 * touch / _POSE_PHASE
     rest = quietest * (inertia - damping)
     return FittedGains(rest, damping, stiffness, needed, quietest, largest)
 

@@ -7,12 +7,11 @@ import time
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from geometry_msgs.msg import PoseArray, WrenchStamped
+from geometry_msgs.msg import PoseArray
 
-from tactile_hand_ros import names
 from tactile_hand_ros.compiled import Array
-from tactile_hand_ros.ros.messages import ContactsCodec, PoseCodec, WrenchCodec
-from tactile_hand_ros.ros.node import TactileNode
+from tactile_hand_ros.ros.messages import ContactsCodec, PoseCodec
+from tactile_hand_ros.ros.node import TactileNode, WrenchPublishers
 from tactile_hand_ros.rotations import quaternion_from_rotation
 
 _MAXIMUM = 5
@@ -73,25 +72,3 @@ class ReadingPublisher:
         """Publish the reading of a tick [ns]; see `TactileReading`."""
         self._contacts.publish(positions, quaternions, stamp_ns)
         self._wrenches.publish(stamp_ns, forces)
-
-
-class WrenchPublishers:
-    """Publishes one vector per finger, in its contact frame, as the force of a WrenchStamped."""
-
-    def __init__(
-        self,
-        node: TactileNode[Any],
-        fingers: Sequence[str],
-        topic: Callable[[str], str],
-        **allowed: bool,
-    ) -> None:
-        """Create the publishers; `topic` maps a finger's name to its topic; see `WrenchCodec`."""
-        self._publishers = []
-        for name in fingers:
-            codec = WrenchCodec(names.contact_frame(name), **allowed)
-            self._publishers.append(node.tick_publisher(WrenchStamped, topic(name), codec.encode))
-
-    def publish(self, stamp_ns: int, forces: Array) -> None:
-        """Publish the vectors of a tick [ns], shape (k, 3)."""
-        for publisher, force in zip(self._publishers, forces.tolist(), strict=True):
-            publisher.publish(force, stamp_ns)

@@ -304,8 +304,12 @@ class _Problem:
         left = float(ways.min())
         if left < LEAST_ROOM:
             raise GraspError(f"no room is left of the way of {end_of(hand, int(ways.argmin()))}")
-        check_spread(points)
-        check_joints(hand_jacobian(fingertips, points, contacts.rotations))
+        try:
+            check_spread(points)
+            check_joints(hand_jacobian(fingertips, points, contacts.rotations))
+        except GraspError as error:
+            reason = "contacts are on one line, or the hand is singular (A5, A7)"
+            raise GraspError(reason) from error
         presses = list(map(_pressing, fingertips.linear, normals))
         if (press := min(presses)) < _PRESS:
             weakest = hand.finger_names[presses.index(press)]

@@ -139,7 +139,7 @@ class Plant:
     def configure(self, config: PlantConfig) -> None:
         """Change friction, mass and `palm_turn`, also for the time after a reset.
 
-        Only a changed friction replaces that of the contacts, which `friction_changes` may have set.
+        Only a changed friction replaces that of the contacts, which `friction_changes` may set.
         """
         if config.object.friction != self.config.object.friction:
             self.friction[:] = config.object.friction

@@ -281,17 +281,15 @@ def test_gains_allow_for_a_known_delay(delay, known, is_kept):
     assert (watch.moved < 0.025) is is_kept
 
 
-@pytest.mark.parametrize(
-    ("name", "rate", "delay"), [("human_hold", 1000, 2), ("human_lift", 500, 1)]
-)
-def test_a_delay_of_some_milliseconds_needs_no_more_force(name, rate, delay):
-    """Neither delay nor rate makes fingers swing, which the regulator would answer with k_f."""
+@pytest.mark.parametrize(("rate", "delay"), [(1000, 2), (500, 1)])
+def test_a_heavy_object_and_a_delay_of_two_milliseconds_need_no_more_force(rate, delay):
+    """Noise of the skin does not make the fingers swing, which the regulator would answer."""
     changes = {
         "plant.rate": rate,
         "tactile_sensor.rate": rate,
         "tactile_sensor.bandwidth": 0.4 * rate,
     }
-    loop = GuardedLoop(load_scenario(name, changes))
+    loop = GuardedLoop(load_scenario("human_lift", changes))
     watch = Watch(loop)
     watch.run(3.5, delay=delay)
     assert loop.loop.regulator.grasp_force < 12.0
