@@ -72,11 +72,11 @@ study: $(VENV)/.studies $(VENV)/.package
 
 # `pytest`, not `python -m pytest`: the latter puts the source tree first, and the tests are to exercise what
 # was installed. Message fields are not type-checked by default; in tests they are.
-# The tests run even when lint complains, so that one run shows everything.
+# The tests run even when lint complains, so that one run shows everything, and on all cores, file by file.
 test: $(VENV)/.docs $(VENV)/.browser $(VENV)/.package
 	@failed=0; \
 	$(MAKE) --no-print-directory lint || failed=1; \
-	ROS_PYTHON_CHECK_FIELDS=1 "$$VENV_PREFIX/bin/pytest" $(PYTEST_ARGS) || failed=1; \
+	ROS_PYTHON_CHECK_FIELDS=1 "$$VENV_PREFIX/bin/pytest" -n auto --dist loadfile $(PYTEST_ARGS) || failed=1; \
 	exit $$failed
 
 lint: $(VENV)/.dev $(VENV)/.package
