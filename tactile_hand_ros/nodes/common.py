@@ -10,8 +10,8 @@ from typing import Any
 from geometry_msgs.msg import PoseArray
 
 from tactile_hand_ros.compiled import Array
-from tactile_hand_ros.ros.messages import ContactsCodec, PoseCodec
-from tactile_hand_ros.ros.node import TactileNode, WrenchPublishers
+from tactile_hand_ros.ros.messages import ContactsCodec, PoseCodec, WrenchPublishers
+from tactile_hand_ros.ros.node import TactileNode
 from tactile_hand_ros.rotations import quaternion_from_rotation
 
 _MAXIMUM = 5

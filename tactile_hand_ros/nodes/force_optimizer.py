@@ -28,7 +28,8 @@ from tactile_hand_ros.control.optimizer.force_optimizer import (
 from tactile_hand_ros.nodes.user_changes import AppliedChanges
 from tactile_hand_ros.ros import streams
 from tactile_hand_ros.ros.diagnostics import WARN, Diagnostics, Mostly
-from tactile_hand_ros.ros.node import TactileNode, WrenchPublishers
+from tactile_hand_ros.ros.messages import WrenchPublishers
+from tactile_hand_ros.ros.node import TactileNode
 from tactile_hand_ros.ros.runner import run_node
 from tactile_hand_ros.ros.ticks import TickInputs
 

@@ -38,8 +38,14 @@ from tactile_hand_ros.nodes.common import ModeLog
 from tactile_hand_ros.nodes.user_changes import AppliedChanges
 from tactile_hand_ros.ros import qos, streams
 from tactile_hand_ros.ros.diagnostics import WARN, Diagnostics, Mostly
-from tactile_hand_ros.ros.messages import JointCodec, WrenchCodec, feedback_message, read_number
-from tactile_hand_ros.ros.node import TactileNode, WrenchPublishers
+from tactile_hand_ros.ros.messages import (
+    JointCodec,
+    WrenchCodec,
+    WrenchPublishers,
+    feedback_message,
+    read_number,
+)
+from tactile_hand_ros.ros.node import TactileNode
 from tactile_hand_ros.ros.runner import run_node
 from tactile_hand_ros.ros.ticks import TickInputs
 

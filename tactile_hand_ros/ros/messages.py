@@ -13,12 +13,13 @@ from __future__ import annotations
 
 import math
 import struct
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from builtin_interfaces.msg import Time
+from geometry_msgs.msg import WrenchStamped
 from numpy.typing import NDArray
 from sensor_msgs.msg import JoyFeedback, JoyFeedbackArray
 
@@ -27,7 +28,10 @@ from tactile_hand_ros.compiled import Array
 from tactile_hand_ros.config.explanation import did_you_mean
 from tactile_hand_ros.control.contact import Contacts
 from tactile_hand_ros.errors import MessageError, UnsafeOutputError
-from tactile_hand_ros.names import PALM_FRAME
+from tactile_hand_ros.names import PALM_FRAME, contact_frame
+
+if TYPE_CHECKING:
+    from tactile_hand_ros.ros.node import TactileNode
 
 Force = tuple[float, float, float]
 
@@ -219,6 +223,28 @@ class WrenchCodec:
         """Return timestamp [ns] and normal force [N], which carries k_f; see `decode`."""
         stamp, force = self.decode(data)
         return stamp, force[1]
+
+
+class WrenchPublishers:
+    """Publishes one vector per finger, in its contact frame, as the force of a WrenchStamped."""
+
+    def __init__(
+        self,
+        node: TactileNode[Any],
+        fingers: Sequence[str],
+        topic: Callable[[str], str],
+        **allowed: bool,
+    ) -> None:
+        """Create the publishers; `topic` maps a finger's name to its topic; see `WrenchCodec`."""
+        self._publishers = []
+        for name in fingers:
+            codec = WrenchCodec(contact_frame(name), **allowed)
+            self._publishers.append(node.tick_publisher(WrenchStamped, topic(name), codec.encode))
+
+    def publish(self, stamp_ns: int, forces: Array) -> None:
+        """Publish the vectors of a tick [ns], shape (k, 3)."""
+        for publisher, force in zip(self._publishers, forces.tolist(), strict=True):
+            publisher.publish(force, stamp_ns)
 
 
 class PushCodec:

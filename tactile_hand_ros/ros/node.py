@@ -12,12 +12,11 @@ import copy
 import functools
 import os
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any, Generic, TypeVar
 
 from diagnostic_msgs.msg import DiagnosticArray
-from geometry_msgs.msg import WrenchStamped
 from rcl_interfaces.srv import SetParameters, SetParametersAtomically
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
@@ -30,13 +29,11 @@ from rclpy.subscription import Subscription
 from rclpy.timer import Timer
 
 from tactile_hand_ros import names
-from tactile_hand_ros.compiled import Array
 from tactile_hand_ros.config.model import Config
 from tactile_hand_ros.errors import TactileHandError, UnsafeOutputError, shortened
 from tactile_hand_ros.ros import qos
 from tactile_hand_ros.ros.diagnostics import Diagnostics
 from tactile_hand_ros.ros.endpoints import TickFailedError, described, refusal
-from tactile_hand_ros.ros.messages import WrenchCodec
 from tactile_hand_ros.ros.parameters import ConfigParameters, with_known_types
 from tactile_hand_ros.ros.relay import TickRelay
 from tactile_hand_ros.ros.scheduling import report_scheduling
@@ -361,28 +358,6 @@ class TactileNode(Node, Generic[C]):
         message = DiagnosticArray(status=[self.diagnostics.status()])
         message.header.stamp = self.get_clock().now().to_msg()
         self._diagnostics_publisher.publish(message)
-
-
-class WrenchPublishers:
-    """Publishes one vector per finger, in its contact frame, as the force of a WrenchStamped."""
-
-    def __init__(
-        self,
-        node: TactileNode[Any],
-        fingers: Sequence[str],
-        topic: Callable[[str], str],
-        **allowed: bool,
-    ) -> None:
-        """Create the publishers; `topic` maps a finger's name to its topic; see `WrenchCodec`."""
-        self._publishers = []
-        for name in fingers:
-            codec = WrenchCodec(names.contact_frame(name), **allowed)
-            self._publishers.append(node.tick_publisher(WrenchStamped, topic(name), codec.encode))
-
-    def publish(self, stamp_ns: int, forces: Array) -> None:
-        """Publish the vectors of a tick [ns], shape (k, 3)."""
-        for publisher, force in zip(self._publishers, forces.tolist(), strict=True):
-            publisher.publish(force, stamp_ns)
 
 
 def _name_of(callback: Callable[..., Any]) -> str:
