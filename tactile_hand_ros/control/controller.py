@@ -234,6 +234,8 @@ class Controller:
         """Change the parameters while running; `hand` and `layout` stay."""
         self.config = config
         self._law.configure(config.law)
+        if config.law.integral.time == 0.0:
+            self._carried = self._none
 
     def reset(self) -> None:
         """Forget everything, including that the fingers are open."""
@@ -278,10 +280,12 @@ class Controller:
         """Change the state; a hold keeps the posture at its start, shape (m,), rad."""
         if mode is self._mode:
             return
+        # The spring of a kept posture carries the load.
+        is_kept = self._keeps_posture and self._mode is Mode.DRIVE and mode is Mode.HOLD
         self._mode, self._last_torque = mode, None
         if mode is not Mode.DRIVE:
             self._reference.reset()
-            if not (self._keeps_posture and mode is Mode.HOLD):  # it carries the load by its spring
+            if not is_kept:
                 self._posture = theta.copy()
         if mode in (Mode.OPEN, Mode.DISABLED):
             self._accept_inputs()
@@ -456,6 +460,8 @@ class Controller:
         if (touching != self._touching).any():
             self._hold_with(touching)
             self._law.change_fingers()
+            if self.config.law.name == "grip":
+                self._fitted_fingers = 0  # its motions keep other contacts now
 
     def _closing(self, torque: Array, theta: Array, rates: Array, middle: Array) -> Array:
         """Return torques that close the fingers without contact, shape (m,), N m.

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The laws: Kawamura's (8), the contact-point law (10), the proposed law (14), and a mere grip."""
+"""The laws: Kawamura's (8), contact points (10), the proposed (14), and `grip` without poses."""
 
 from __future__ import annotations
 
@@ -471,10 +471,10 @@ class NormalForceControl:
     def step(
         self,
         grasp_force: float,
-        shares: Array,
+        fractions: Array,
         normal: Array,
-        least: float,
-        most: float,
+        minimum: float,
+        maximum: float,
         dt: float,
         age: float,
     ) -> float:
@@ -482,18 +482,18 @@ class NormalForceControl:
 
         Args:
             grasp_force: k_f, N.
-            shares: f*_n, shape (k,).
+            fractions: f*_n, shape (k,).
             normal: Measured normal forces n, shape (k,), N.
-            least: Smallest c, N.
-            most: Largest c, N, since a dead skin never shows the wanted force.
+            minimum: Smallest c, N.
+            maximum: Largest c, N, since a dead skin never shows the wanted force.
             dt: Time since the last step, s.
             age: d, s.
         """
-        pressing = shares > 0.0
-        missing = (grasp_force - normal[pressing] / shares[pressing]).max(initial=-math.inf)
+        pressing = fractions > 0.0
+        missing = (grasp_force - normal[pressing] / fractions[pressing]).max(initial=-math.inf)
         if math.isfinite(missing):
             raised = self.correction + _GRIP_PHASE / age * dt * float(missing)
-            self.correction = min(max(raised, least), most)
+            self.correction = min(max(raised, minimum), maximum)
         return grasp_force + self.correction
 
 

@@ -157,7 +157,8 @@ def link_inside(record: Record, links: LinkCollisions) -> tuple[str, float]:
 
     Poses are compared every 50 ms.
     """
-    known = np.flatnonzero(np.isfinite(record.object_position).all(axis=1))
+    needed = record.theta, record.object_position, record.object_quaternion
+    known = np.flatnonzero(np.isfinite(np.hstack(needed)).all(axis=1))
     looks = np.diff(np.floor(record.times[known] / _LOOK), prepend=-1.0) > 0.0
     for row in known[looks]:
         turn = rotation_from_quaternion(record.object_quaternion[row])

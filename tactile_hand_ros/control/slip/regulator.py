@@ -220,8 +220,11 @@ class SlipRegulator:
         touching, normals = contacts.touching, contacts.normals
         if not touching.any():
             self._estimator.reset()  # the next object may be another one
-        if np.isnan(measured[:, 0]).any():
+            self._raised = 0.0
+        unknown = np.isnan(measured[:, ::2])
+        if unknown.all():
             self._follow_normals(contacts, measured[:, 1], dt)
+        if unknown.any():  # of some fingers only: as a tick without touch
             return
         # A sensor that is slower than the loop repeats its samples.
         fresh, self._last = (measured != self._last).any(axis=1), measured.copy()

@@ -501,3 +501,22 @@ def test_without_tangential_forces_a_slip_raises_the_users_grasp_force_until_he_
     slip.request(9.0)
     assert normal_run(slip, 3090, 4000)[-1] == pytest.approx(9.0)
     np.testing.assert_array_equal(slip.learned_friction, regulator().learned_friction)
+
+
+def test_the_next_object_is_pressed_as_the_user_asks():
+    slip = regulator(mode="auto", grasp_force=8.0)
+    normal_run(slip, 0, 1000)
+    assert normal_run(slip, 1000, 40, slides=True)[-1] == 16.0
+    nothing = Contacts(np.full((3, 3), np.nan), three_faces().rotations)
+    slip.step(1_040_000_000, nothing, np.full((3, 3), np.nan))
+    assert normal_run(slip, 1041, 2000)[-1] == pytest.approx(8.0)
+
+
+def test_unknown_components_of_some_fingers_are_like_a_tick_without_touch():
+    slip = regulator(mode="auto")
+    run(slip, 500)
+    before = slip.grasp_force
+    forces = FORCES.copy()
+    forces[1, ::2] = np.nan
+    told = [slip.step((500 + i) * TICK, three_faces(), forces) for i in range(500)]
+    assert set(told) == {before}
