@@ -53,8 +53,9 @@ def live(options: LiveOptions) -> None:
         changes.append("plant.speed=1")
     wanted = options.scenario or (None if options.named else _SCENARIO)
     own = dataclasses.replace(options, scenario=wanted)
-    if not load_scenario(own.wanted).plant.palm_motion:
-        # At rest until the page turns it. With a motion there is an IMU, so the hand knows.
+    turns = any(c.startswith("plant.palm_motion") for c in changes)
+    if not turns and not load_scenario(own.wanted).plant.palm_motion:
+        # At rest until the page turns it. With a motion there is an IMU that measures it.
         changes.append("plant.palm_motion=[{time: 0, rotation: [0, 0, 0]}]")
     own = dataclasses.replace(
         own,

@@ -29,7 +29,7 @@ class FingerConfig(Config):
     tip: str = param(..., "link of the fingertip", min_length=1)
     radius: float = param(
         0.0,
-        "radius of the fingertip, 0 for the link's sphere, or one of its mesh",
+        "radius of the fingertip, 0 for the link's sphere, or one fitted to its mesh",
         unit="m",
         ge=0.0,
     )
@@ -186,7 +186,7 @@ def load_hand_config(name: str) -> HandConfig:
     """
     if (given := Path(name)).suffix.lower() in (".urdf", ".xml", ".mjcf", ".xacro"):
         raise HandModelError(
-            f"'{name}' says nothing of palm and fingertips; give a YAML file such as "
+            f"'{name}' does not name the palm and the fingertips; give a YAML file such as "
             f"`{{urdf: {given.name}, palm: LINK, fingers: [{{name: thumb, tip: LINK}}, {{name: "
             "index, tip: LINK}]}`"
         )

@@ -124,7 +124,7 @@ def _conclude(
     verdict = results.judge(plan, outcome, found, signal_code)
     results.write_summary(plan, directory, outcome, found, verdict)
     if found.metrics is not None and found.metrics.link_inside:
-        show(f"warning: inside the object, unfelt: {found.metrics.link_note}")
+        show(f"warning: inside the object, which the simulation ignores: {found.metrics.link_note}")
     if found.run is not None:
         console.print(results.table(plan, outcome, found))
         if options.report:

@@ -4,7 +4,7 @@
 At every wake-up, the standard executors of rclpy build a new wait set and a coroutine per callback.
 That costs more than handling the message. `WaitSetExecutor` keeps its wait sets and calls back
 directly. Subscriptions, timers and guard conditions are in the one that it waits for. Services and
-clients are looked at every `RARE_PERIOD_NS`, QoS events every `EVENT_PERIOD_NS`. Callbacks are
+clients are checked every `RARE_PERIOD_NS`, QoS events every `EVENT_PERIOD_NS`. Callbacks are
 plain functions: coroutines are not awaited, and tasks of `create_task` are not run.
 
 Private parts of rclpy (Jazzy) in use:

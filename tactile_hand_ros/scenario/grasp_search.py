@@ -10,6 +10,7 @@ the weakest joint permits with the friction that a hand expects before it has sl
 from __future__ import annotations
 
 import itertools
+from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
@@ -128,7 +129,7 @@ def search(
                 reasons.append(str(error))
             advance(f"{hand.finger_names[alone]} against the others")
     if not found:
-        most = ", then ".join(sorted(set(reasons), key=reasons.count)[:-3:-1])
+        most = ", then ".join(reason for reason, _ in Counter(reasons).most_common(2))
         raise GraspError(
             f"no grasp of a {body.shape} of {' x '.join(f'{1e3 * edge:g}' for edge in body.size)} "
             f"mm was found from {len(reasons)} postures; most often {most}. Try another size, or "

@@ -74,7 +74,7 @@ def _warn_of_shapes(scenario: Scenario, plant: Plant) -> None:
     state, links = plant.state, LinkCollisions(plant.hand, plant.solid)
     if inside := links.touching(state.theta, state.position, state.rotation):
         warnings.warn(
-            f"the object starts inside {', '.join(inside)}, which the simulation does not feel; "
+            f"the object starts inside {', '.join(inside)}, which the simulation ignores; "
             "place it elsewhere, as `tactile-hand grasp` does",
             stacklevel=3,
         )

@@ -257,7 +257,7 @@ class PlantConfig(Config):
         if any(self.palm_turn) and not self.palm_motion:
             raise ValueError(
                 f"palm_turn is {self.palm_turn}, but without palm_motion the hand has no imu and "
-                "could not know; start with palm_motion=[{time: 0, rotation: [0, 0, 0]}]"
+                "could not measure it; start with palm_motion=[{time: 0, rotation: [0, 0, 0]}]"
             )
         return self
 
