@@ -72,11 +72,19 @@ study: $(VENV)/.studies $(VENV)/.package
 
 # `pytest`, not `python -m pytest`: the latter puts the source tree first, and the tests are to exercise what
 # was installed. Message fields are not type-checked by default; in tests they are.
-# The tests run even when lint complains, so that one run shows everything, and on all cores, file by file.
+# The tests run even when lint complains, so that one run shows everything: first on all cores, file by file, then
+# one by one those that wait for nodes and pages in real time.
+REAL_TIME := test/cockpit test/integration test/unit/nodes
+PYTEST = ROS_PYTHON_CHECK_FIELDS=1 "$$VENV_PREFIX/bin/pytest"
 test: $(VENV)/.docs $(VENV)/.browser $(VENV)/.package
 	@failed=0; \
 	$(MAKE) --no-print-directory lint || failed=1; \
-	ROS_PYTHON_CHECK_FIELDS=1 "$$VENV_PREFIX/bin/pytest" -n auto --dist loadfile $(PYTEST_ARGS) || failed=1; \
+	if [ -n '$(PYTEST_ARGS)' ]; then \
+		$(PYTEST) $(PYTEST_ARGS) || failed=1; \
+	else \
+		$(PYTEST) -n auto --dist loadfile $(addprefix --ignore=,$(REAL_TIME)) || failed=1; \
+		$(PYTEST) $(REAL_TIME) || failed=1; \
+	fi; \
 	exit $$failed
 
 lint: $(VENV)/.dev $(VENV)/.package
