@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from tactile_hand_ros.compiled import Array
 from tactile_hand_ros.config.model import Config, param
 from tactile_hand_ros.control.contact import Contacts, all_finite, in_palm
+from tactile_hand_ros.control.delay import TorqueDelay
 from tactile_hand_ros.control.holds import (
     JointRates,
     bearable_fraction,
@@ -60,7 +61,7 @@ LEAST_ROOM = 0.1
 
 
 class PostureHoldConfig(Config):
-    """Delay and resolution of the hold; with the tick period they limit its stiffness."""
+    """Delay and resolution of the joints; with the tick period they limit stiffness and damping."""
 
     latency: int = param(3, "largest delay of a torque", unit="ticks", live=True, ge=0, le=100)
     resolution: float = param(
@@ -85,9 +86,6 @@ class ControllerConfig(Config):
         False,
         "extrapolate torques by half a period, since each is held for one (needs quiet sensors)",
         live=True,
-    )
-    command_delay: int = param(
-        0, "delay of every torque; gains that fit the hand allow for it", unit="ticks", ge=0, le=20
     )
     reference_time: float = param(
         0.4, "time constant to a new desired pose, 0 for none", unit="s", live=True, ge=0.0, le=60.0
@@ -234,6 +232,7 @@ class Controller:
         """Change the parameters while running; `hand` and `layout` stay."""
         self.config = config
         self._law.configure(config.law)
+        self._fitted_to = (0.0, 0)  # fit gains again
         if config.law.integral.time == 0.0:
             self._carried = self._none
 
@@ -253,6 +252,7 @@ class Controller:
         self._mode = Mode.NO_GRASP
         self._held: Held | None = None  # unknown
         self._posture = np.zeros(self.hand.joints)  # of the hold
+        self._delay = TorqueDelay(self.config.hold.latency)
         self._grasp: Grasp | None = None
         self._last_torque: Array | None = None  # of the law, one tick ago
         self._last_stamp: int | None = None
@@ -266,7 +266,7 @@ class Controller:
         self._room: Array | None = None  # largest during the present move, see `room`
 
     def _new_grasp(self) -> None:
-        self.warning, self._fitted_to, self._fitted_fingers = "", 0.0, 0
+        self.warning, self._fitted_to, self._fitted_fingers = "", (0.0, 0), 0
         self._keeps_posture, self._pressing = False, NormalForceControl()
         self._carried = np.zeros(self.hand.joints)  # by the integral of law `grip`, N m
         # Bandwidth that a hold needs per root of k_f, and its bandwidth, rad/s.
@@ -283,6 +283,7 @@ class Controller:
         # The spring of a kept posture carries the load.
         is_kept = self._keeps_posture and self._mode is Mode.DRIVE and mode is Mode.HOLD
         self._mode, self._last_torque = mode, None
+        self._delay.pause()
         if mode is not Mode.DRIVE:
             self._reference.reset()
             if not is_kept:
@@ -409,6 +410,7 @@ class Controller:
         passed = 0.0 if self.joints_held else now.elapsed  # the reference waits
         wanted = self._reference.step(self.targets.target, pose, self.config.reference_time, passed)
         refused = self._stopped(now, pose) or refused
+        self._delay.step(None if self.joints_held else now.applied)
         self._fit(now)
         parts = self._law_torque(now, tips, wanted, pose)
         self._enter(Mode.DRIVE, now.theta)
@@ -418,6 +420,7 @@ class Controller:
         torque = self._ahead(self._bearable(parts, self._weight(now.theta)), now.elapsed)
         if not self._touching.all():
             torque = self._closing(torque, now.theta, now.rates, now.contacts.centroid)
+        self._delay.sent(torque)
         return Command(torque, Mode.DRIVE, pose, refused)
 
     def _law_torque(
@@ -447,7 +450,7 @@ class Controller:
         c = self.config
         if c.law.name != "grip" or forces is None:
             return grasp_force
-        age = c.touch_latency + (0.5 + c.command_delay) * self._period
+        age = c.touch_latency + (0.5 + self._delay.ticks) * self._period
         passed = 0.0 if self.joints_held else dt
         shown = optimal_forces[:, 1], forces[:, 1]
         limit = c.law.integral.force_limit
@@ -613,7 +616,7 @@ class Controller:
         return stiffest(self.hand, inertia, self._period, late, c.resolution)
 
     def _fit(self, now: _Tick) -> None:
-        """Fit the gains that are not given to the hand, its tick period and its fingers.
+        """Fit the gains that are not given to the hand, to the rate and delay of its torques.
 
         A gripper, or a hand that cannot place the object for want of joints, keeps its posture
         instead, by the spring of a hold: joint angles are newer than touch.
@@ -627,15 +630,16 @@ class Controller:
                 self._fitted_fingers = fingers
                 self._free = kept_contacts(self._fingers, now.theta, contacts)
             return
-        known = self._fitted_to == self._period and fingers <= self._fitted_fingers
+        rate = self._period, self._delay.ticks
+        known = self._fitted_to == rate and fingers <= self._fitted_fingers
         if self._law.fits or known:
             return
-        self._fitted_to, self._fitted_fingers = self._period, fingers
+        self._fitted_to, self._fitted_fingers = rate, fingers
         forces = contacts.centroid - contacts.positions  # of law (10), a guess for other laws
         if c.law.name == "optimal":
             forces = in_palm(contacts.rotations, now.optimal_forces, 1.0)
         ages = c.touch_latency, c.law.observer.time
-        how = forces, self._period, *ages, c.hold.resolution, c.command_delay
+        how = forces, self._period, *ages, c.hold.resolution, self._delay.ticks
         self._law.fit(fitted_gains(self._fingers, now.theta, contacts, *how))
         if motions_of_object(self._fingers, now.theta, contacts) < FEWEST_MOTIONS:
             self._keeps_posture, self._posture = True, now.theta.copy()

@@ -44,7 +44,7 @@ def test_a_gripper_refuses_to_move_its_object_and_says_why():
 
 
 def test_a_hand_with_few_motions_keeps_its_posture_by_a_spring_between_joints(results):
-    """Touch is noisy and late: the object moves less than the pose seen by touch does."""
+    """A pose that is seen by touch, noisy and late, would shake the object by 8 mm."""
     record = results["three axes"].record
-    before = (record.times > 1.0) & (record.times < 2.0)
-    assert abs(record.object_position[before] - record.object_position[0]).max() < 3e-4
+    before = record.object_position[(record.times > 1.0) & (record.times < 2.0)]
+    assert abs(before - before.mean(axis=0)).max() < 3e-4

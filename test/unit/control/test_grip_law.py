@@ -54,7 +54,7 @@ def test_it_presses_harder_until_no_finger_lacks_its_part(limit, crush, most):
     bench.step(2, forces=normal(bench))
     ratio = 0.4 / bench.optimal[1, 1]
     found = bench.step(forces=normal(bench, 0.4)).torque
-    rise = 0.25 / (0.015 + 0.5 * 0.002) * 0.002 * ratio
+    rise = 0.25 / (0.015 + 3.5 * 0.002) * 0.002 * ratio
     np.testing.assert_allclose(found, pressing(bench, 10.0 + rise, bench.theta), atol=1e-9)
     bench.controller.joints_held = True  # what the guard does is not its own
     np.testing.assert_array_equal(bench.step(100, forces=normal(bench, 0.4)).torque, found)

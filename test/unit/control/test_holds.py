@@ -271,11 +271,18 @@ def test_gains_that_fit_a_hand_leave_each_motion_its_damping(tick, name):
     assert_allclose(stiffness, stiffness.T, atol=1e-9)
 
 
-@pytest.mark.parametrize(("delay", "known", "is_kept"), [(3, 3, True), (1, 0, True), (2, 0, False)])
-def test_gains_allow_for_a_known_delay(delay, known, is_kept):
-    """The light fingers of the human hand under a sudden pull; an unknown delay may lose it."""
+@pytest.mark.parametrize(
+    ("rate", "delay", "allowed", "is_kept"),
+    [(1000, 0, 3, True), (1000, 3, 3, True), (500, 1, 3, True), (1000, 2, 0, False)],
+)
+def test_gains_allow_for_late_torques(rate, delay, allowed, is_kept):
+    """The light fingers of the human hand under a sudden pull, which late torques would lose."""
     pull = {"kind": "ramp", "start": 0.1, "duration": 0.2, "force": [0.0, 0.0, -4.0]}
-    changes = {"plant.disturbances": [pull], "manipulation_controller.command_delay": known}
+    changes = {
+        "plant.rate": rate,
+        "plant.disturbances": [pull],
+        "manipulation_controller.hold.latency": allowed,
+    }
     watch = Watch(GuardedLoop(load_scenario("human_pull", changes)))
     watch.run(1.0, delay=delay)
     assert (watch.moved < 0.025) is is_kept
@@ -307,7 +314,8 @@ def pressing(plant):
 def test_with_encoders_only_what_moves_the_object_is_damped_as_k_f_needs_it(tmp_path, joints):
     plant = Plant(load_scenario("gravity", prism_grasp(tmp_path, joints)).plant)
     hand, theta, contacts = plant.hand, plant.state.theta, plant.state.contacts
-    gains = fitted_gains(hand, theta, contacts, pressing(plant), 1e-3, 0.01, 0.02, 1e-3)
+    how = pressing(plant), 1e-3, 0.01, 0.02, 1e-3
+    gains = fitted_gains(hand, theta, contacts, *how)
     inertia = hand.dynamics(theta, np.zeros(hand.joints))[1]
     allowed = 0.03 * hand.finger_weight * hand.spans.max()
     quietest = np.sqrt(allowed / (1e-3 * inertia.diagonal().max()))
@@ -322,6 +330,11 @@ def test_with_encoders_only_what_moves_the_object_is_damped_as_k_f_needs_it(tmp_
     assert_allclose(found[:-6], quietest, rtol=1e-6)
     assert_allclose(found[-6:], most, rtol=1e-6)
     assert_allclose(gains.at(1e9)[1], 1000.0 / quietest * gains.at(0.0)[1], atol=1e-6)
+    # Torques that may be two ticks late allow half as much, except where they themselves need more.
+    gains = fitted_gains(hand, theta, contacts, *how, 2)
+    assert gains.needed / gains.least == pytest.approx(0.01 / 0.25 / 2.5e-3)
+    for least, found in [(400.0, 500.0), (700.0, 700.0), (1e9, 1000.0)]:
+        assert np.sort(bandwidths(least / gains.least))[-1] == pytest.approx(found, rel=1e-6)
 
 
 def test_a_hand_of_human_size_needs_no_gain_also_with_commands_that_are_a_tick_late():
