@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from tactile_hand_ros.compiled import Array
 from tactile_hand_ros.config.model import Config, param
-from tactile_hand_ros.control.contact import Contacts, all_finite, in_palm
+from tactile_hand_ros.control.contact import Contacts, all_finite, carried_along, in_palm
 from tactile_hand_ros.control.delay import TorqueDelay
 from tactile_hand_ros.control.holds import (
     JointRates,
@@ -84,7 +84,7 @@ class ControllerConfig(Config):
     imu: bool = param(False, "take the orientation of the palm from the topic imu, and wait for it")
     midpoint_hold: bool = param(
         False,
-        "extrapolate torques by half a period, since each is held for one (needs quiet sensors)",
+        "extrapolate torques by half a period, not joints and contacts (needs quiet sensors)",
         live=True,
     )
     reference_time: float = param(
@@ -412,7 +412,7 @@ class Controller:
         refused = self._stopped(now, pose) or refused
         self._delay.step(None if self.joints_held else now.applied)
         self._fit(now)
-        parts = self._law_torque(now, tips, wanted, pose)
+        parts = self._law_torque(*self._acting(now, tips), wanted)
         self._enter(Mode.DRIVE, now.theta)
         self._held = Held(parts.internal, parts.load_compensation, now.grasp_force)
         if now.elapsed > 0.0:  # the tick rate has been measured
@@ -423,9 +423,21 @@ class Controller:
         self._delay.sent(torque)
         return Command(torque, Mode.DRIVE, pose, refused)
 
-    def _law_torque(
-        self, now: _Tick, tips: Fingertips, wanted: Target, pose: AuxiliaryPose
-    ) -> LawTorque:
+    def _acting(self, now: _Tick, tips: Fingertips) -> tuple[_Tick, Fingertips]:
+        """Return joints, contacts and fingertips when the torque acts, by the joint rates.
+
+        A torque acts after its delay, for a tick: half a tick later on average. Directions as old
+        as that would cost damping.
+        """
+        ticks = (self._delay.ticks or 0) + (0.0 if self.config.midpoint_hold else 0.5)
+        if ticks == 0.0 or now.elapsed == 0.0 or not all_finite(now.rates):
+            return now, tips
+        moved = ticks * self._period * now.rates
+        touch = now.contacts.positions, now.contacts.rotations
+        theta, contacts = now.theta + moved, Contacts(*carried_along(tips, *touch, moved))
+        return now._replace(theta=theta, contacts=contacts), self._fingers.fingertips(theta)
+
+    def _law_torque(self, now: _Tick, tips: Fingertips, wanted: Target) -> LawTorque:
         """Return the torques of the law, without a drive where the grasp keeps its posture.
 
         Raises:
@@ -433,6 +445,7 @@ class Controller:
         """
         pressed = self._pressed(now.optimal_forces, now.grasp_force, now.forces, now.elapsed)
         touch = now.contacts, now.optimal_forces, pressed
+        pose = self._law.auxiliary_pose(tips, now.contacts)
         parts = self._law.step(tips, now.rates, *touch, wanted, pose, now.elapsed, now.forces)
         if self._keeps_posture:
             parts = self._keeping(parts, now.theta, now.rates, now.elapsed)
@@ -450,7 +463,7 @@ class Controller:
         c = self.config
         if c.law.name != "grip" or forces is None:
             return grasp_force
-        age = c.touch_latency + (0.5 + self._delay.ticks) * self._period
+        age = c.touch_latency + (0.5 + self._delay.allowed) * self._period
         passed = 0.0 if self.joints_held else dt
         shown = optimal_forces[:, 1], forces[:, 1]
         limit = c.law.integral.force_limit
@@ -630,7 +643,7 @@ class Controller:
                 self._fitted_fingers = fingers
                 self._free = kept_contacts(self._fingers, now.theta, contacts)
             return
-        rate = self._period, self._delay.ticks
+        rate = self._period, self._delay.allowed
         known = self._fitted_to == rate and fingers <= self._fitted_fingers
         if self._law.fits or known:
             return
@@ -639,7 +652,7 @@ class Controller:
         if c.law.name == "optimal":
             forces = in_palm(contacts.rotations, now.optimal_forces, 1.0)
         ages = c.touch_latency, c.law.observer.time
-        how = forces, self._period, *ages, c.hold.resolution, self._delay.ticks
+        how = forces, self._period, *ages, c.hold.resolution, self._delay.allowed
         self._law.fit(fitted_gains(self._fingers, now.theta, contacts, *how))
         if motions_of_object(self._fingers, now.theta, contacts) < FEWEST_MOTIONS:
             self._keeps_posture, self._posture = True, now.theta.copy()

@@ -16,18 +16,23 @@ class TorqueDelay:
     """Finds after how many ticks the joints apply a torque.
 
     Changes of the reported torques are compared with changes of the sent ones, so that an offset
-    does not count. Where noise hides them, or joints report no torques, the largest delay remains.
+    does not count. Where noise hides them, or joints report no torques, the delay stays unknown.
 
     Attributes:
-        ticks: The delay; 0 if a torque acts until the next tick.
+        ticks: The delay, 0 if a torque acts until the next tick; None if unknown.
     """
 
     def __init__(self, largest: int) -> None:
-        """Start with the largest delay, in ticks."""
-        self.ticks = largest
+        """Start without a delay; `largest` is the largest possible one, in ticks."""
+        self.ticks: int | None = None
         self._differences = np.zeros(largest + 1)
         self._sent: deque[Array] = deque(maxlen=largest + 2)  # the newest first
         self.pause()
+
+    @property
+    def allowed(self) -> int:
+        """The delay to allow for, in ticks: the largest one if it is unknown."""
+        return len(self._differences) - 1 if self.ticks is None else self.ticks
 
     def pause(self) -> None:
         """Forget what was sent, before other torques act; the delay remains."""

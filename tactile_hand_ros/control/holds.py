@@ -195,26 +195,21 @@ class FittedGains(NamedTuple):
         rest: K_c of rates that do not move the object, shape (m, m), N m s/rad.
         damping: K_c of rates that do, per rad/s of bandwidth, shape (m, m), N m s/rad.
         stiffness: K_p per rad/s of bandwidth, shape (6, 6), N/m and N m/rad.
-        least: Bandwidth below which late torques of k_f leave no damping, rad/s per N.
         needed: Bandwidth that k_f needs, rad/s per N.
         quietest: Bandwidth up to which angle errors may shake the hand at any k_f, rad/s.
-        largest: Bandwidth up to which torques that are held for a tick damp, rad/s.
-        latest: Bandwidth up to which the latest torques damp, rad/s.
+        largest: Bandwidth up to which held and late torques damp, rad/s.
     """
 
     rest: Array
     damping: Array
     stiffness: Array
-    least: float
     needed: float
     quietest: float
     largest: float
-    latest: float
 
     def at(self, grasp_force: float) -> tuple[Array, Array]:
         """Return K_c, shape (m, m), N m s/rad, and K_p, shape (6, 6), of a k_f in N."""
-        w = min(self.latest, max(self.quietest, self.needed * grasp_force))
-        w = min(self.largest, max(self.least * grasp_force, w))
+        w = min(self.largest, max(self.quietest, self.needed * grasp_force))
         return self.rest + w * self.damping, w * self.stiffness
 
 
@@ -235,9 +230,8 @@ def fitted_gains(
     at most 1 / T. Torques that are n ticks late cost the phase w (n + 1/2) T of the damping, at
     most 72 of its 90 degrees. Directions of forces f that are d old cost the damping K_geo d, a
     fraction p of it at w = w_r^2 d / p, with the bandwidth w_r of a hold at that k_f. This is w,
-    unless angle errors allow more or late torques less. Since directions in a torque are at least
-    as old as the torque, w is at least w_r^2 (n + 1/2) T. A pose that is t late costs a phase p of
-    the stiffness. Rates that do not move the object are damped as much as angle errors allow.
+    unless angle errors allow more. A pose that is t late costs a phase p of the stiffness. Rates
+    that do not move the object are damped as much as angle errors allow.
 
     Args:
         hand: The hand.
@@ -251,9 +245,8 @@ def fitted_gains(
         delay: n, the largest delay of a torque, ticks.
     """
     inertia = hand.dynamics(theta, np.zeros(hand.joints)).inertia
-    largest = 1.0 / tick
-    latest = min(1.0, _DAMPING_PHASE / (delay + 0.5)) / tick
-    quietest = min(latest, _quietest(hand, inertia, error))
+    largest = min(1.0, _DAMPING_PHASE / (delay + 0.5)) / tick
+    quietest = min(largest, _quietest(hand, inertia, error))
     motions = _motions(hand, hand.fingertips(theta), contacts)
     joints, twists = np.split(motions, [hand.joints])
     redundant = joints @ _kernel(twists)
@@ -267,9 +260,9 @@ def fitted_gains(
         fraction = per_error * _POSE_PHASE / (touch + follows)
         stiffness[part, part] = fraction * (moved.T @ damping @ moved)
     required = required_bandwidth(hand, theta, contacts, forces, motions)
-    least, needed = required**2 * (delay + 0.5) * tick, required**2 * touch / _POSE_PHASE
+    needed = required**2 * touch / _POSE_PHASE
     rest = quietest * (inertia - damping)
-    return FittedGains(rest, damping, stiffness, least, needed, quietest, largest, latest)
+    return FittedGains(rest, damping, stiffness, needed, quietest, largest)
 
 
 def largest_damping(

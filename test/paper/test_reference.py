@@ -126,7 +126,7 @@ def experiment(request):
     loop = ClosedLoop(scenario)
     reference, start = reference_of(loop.plant, layout)
     times = np.linspace(0.0, 10.0, 51) if layout == "three_faces" else np.linspace(0.0, 3.0, 16)
-    states, forces = reference.run(start, PaperLaw(reference), times, hold=False, rtol=1e-8)
+    states, forces = reference.run(start, PaperLaw(reference), times, rtol=1e-8)
     return reference, states, forces, loop.run(), np.round(500.0 * times).astype(int)
 
 
@@ -143,19 +143,6 @@ def test_the_closed_loop_moves_as_the_reference(experiment):
     assert position < 2e-6
     assert centroid < 2e-6
     assert force < 1e-3 * 10.0
-
-
-def test_a_held_torque_moves_as_the_reference_that_holds_it_too():
-    scenario = load_scenario(
-        "paper", {"duration": 0.5, "manipulation_controller.midpoint_hold": False}
-    )
-    loop = ClosedLoop(scenario)
-    reference, start = reference_of(loop.plant, "three_faces")
-    times = np.arange(251) / 500.0
-    states, forces = reference.run(start, PaperLaw(reference), times, hold=True, rtol=1e-8)
-    record = loop.run()
-    position, centroid, _ = compare(reference, states, forces, record, np.arange(251))
-    assert position < 1e-4 and centroid < 1e-5
 
 
 @pytest.mark.parametrize("layout", ["three_faces", "pinch"])

@@ -161,31 +161,25 @@ class Reference:
         control: Callable[[float, State, Array], Array],
         times: Array,
         wrench: Array | None = None,
-        hold: bool = True,
         rtol: float = 1e-9,
     ) -> tuple[Array, Array]:
-        """Integrate over `times` and return states (len(times), n) and forces at them.
-
-        With `hold`, the torque is computed at each of `times` and kept until the next one, as in a
-        sampled controller; without, it is part of the differential equation, as in the paper.
-        """
+        """Integrate over `times` and return states (len(times), n) and forces at them."""
         external = np.zeros(6) if wrench is None else wrench
         y, states, forces = start.pack(), [], []
 
-        def torque_at(t: float, y: Array) -> Array:
-            return control(t, self.unpack(y), self.contacts(y))
+        def rates_and_forces(t: float, y: Array) -> tuple[Array, Array]:
+            torque = control(t, self.unpack(y), self.contacts(y))
+            return self.solve_rates(y, torque, external)
+
+        def rates(t: float, y: Array) -> Array:
+            return rates_and_forces(t, y)[0]
 
         for t, t_next in zip(times, [*times[1:], None], strict=True):
-            torque = torque_at(t, y)
             states.append(y)
-            forces.append(self.solve_rates(y, torque, external)[1])
-            if t_next is None:
-                break
-
-            def rate(t: float, y: Array, held: Array = torque) -> Array:
-                return self.solve_rates(y, held if hold else torque_at(t, y), external)[0]
-
-            y = solve_ivp(rate, (t, t_next), y, method="DOP853", rtol=rtol, atol=1e-12).y[:, -1]
+            forces.append(rates_and_forces(t, y)[1])
+            if t_next is not None:
+                way = (t, t_next)
+                y = solve_ivp(rates, way, y, method="DOP853", rtol=rtol, atol=1e-12).y[:, -1]
         return np.array(states), np.array(forces)
 
 

@@ -7,14 +7,17 @@ from hypothesis import given
 from support import equations
 from support.grasps import normals
 
+from tactile_hand_ros.closed_loop.loop import ClosedLoop
 from tactile_hand_ros.control.contact import (
     Contacts,
+    carried_along,
     contact_frame,
     hand_jacobian,
     joint_torques,
 )
 from tactile_hand_ros.hand.hand import Hand
 from tactile_hand_ros.rotations import quaternion_from_rotation
+from tactile_hand_ros.scenario.scenario import load_scenario
 
 
 @given(normals)
@@ -119,3 +122,21 @@ def test_each_number_of_a_contact_must_be_finite(place, value):
     np.testing.assert_array_equal(contacts.touching, [True, False, True])
     assert np.isfinite(contacts.centroid).all() == (place >= 3)
     assert not contacts.all_touching and Contacts(np.eye(3), frames(np.eye(3))).all_touching
+
+
+@pytest.mark.parametrize("name", ["paper", "pinch", "human_turn"])
+def test_contacts_that_are_carried_along_are_where_the_object_has_them_later(name):
+    """It turns by milliradians; the rest is of second order."""
+    loop = ClosedLoop(load_scenario(name))
+    loop.run(150)
+    hand, before = loop.plant.hand, loop.state
+    loop.run(5)
+    touch, later = before.contacts, loop.state.contacts
+    moved = loop.state.theta - before.theta
+    tips = hand.fingertips(before.theta)
+    positions, frames = carried_along(tips, touch.positions, touch.rotations, moved)
+    shift = abs(later.positions - touch.positions).max()
+    np.testing.assert_allclose(positions, later.positions, atol=3e-3 * shift)
+    turn = abs(later.normals - touch.normals).max()
+    np.testing.assert_allclose(frames[:, :, 1], later.normals, atol=3e-3 * turn)
+    np.testing.assert_allclose(frames.transpose(0, 2, 1) @ frames, [np.eye(3)] * 3, atol=1e-12)

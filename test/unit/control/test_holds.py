@@ -273,9 +273,9 @@ def test_gains_that_fit_a_hand_leave_each_motion_its_damping(tick, name):
 
 @pytest.mark.parametrize(
     ("rate", "delay", "allowed", "is_kept"),
-    [(1000, 0, 3, True), (1000, 3, 3, True), (500, 1, 3, True), (1000, 2, 0, False)],
+    [(1000, 0, 3, True), (1000, 3, 3, True), (500, 2, 3, True), (500, 2, 0, False)],
 )
-def test_gains_allow_for_late_torques(rate, delay, allowed, is_kept):
+def test_the_law_allows_for_late_torques(rate, delay, allowed, is_kept):
     """The light fingers of the human hand under a sudden pull, which late torques would lose."""
     pull = {"kind": "ramp", "start": 0.1, "duration": 0.2, "force": [0.0, 0.0, -4.0]}
     changes = {
@@ -285,7 +285,8 @@ def test_gains_allow_for_late_torques(rate, delay, allowed, is_kept):
     }
     watch = Watch(GuardedLoop(load_scenario("human_pull", changes)))
     watch.run(1.0, delay=delay)
-    assert (watch.moved < 0.025) is is_kept
+    assert watch.is_lost is not is_kept
+    assert (watch.slid < 1e-3) is is_kept
 
 
 @pytest.mark.parametrize(("rate", "delay"), [(1000, 2), (500, 1)])
@@ -330,11 +331,9 @@ def test_with_encoders_only_what_moves_the_object_is_damped_as_k_f_needs_it(tmp_
     assert_allclose(found[:-6], quietest, rtol=1e-6)
     assert_allclose(found[-6:], most, rtol=1e-6)
     assert_allclose(gains.at(1e9)[1], 1000.0 / quietest * gains.at(0.0)[1], atol=1e-6)
-    # Torques that may be two ticks late allow half as much, except where they themselves need more.
+    # Torques that are two ticks late allow half as much.
     gains = fitted_gains(hand, theta, contacts, *how, 2)
-    assert gains.needed / gains.least == pytest.approx(0.01 / 0.25 / 2.5e-3)
-    for least, found in [(400.0, 500.0), (700.0, 700.0), (1e9, 1000.0)]:
-        assert np.sort(bandwidths(least / gains.least))[-1] == pytest.approx(found, rel=1e-6)
+    assert np.sort(bandwidths(1e9))[-6:] == pytest.approx(500.0, rel=1e-6)
 
 
 def test_a_hand_of_human_size_needs_no_gain_also_with_commands_that_are_a_tick_late():

@@ -181,7 +181,7 @@ def test_integral_action_is_off_by_default_and_forgets_when_switched_off(grip):
 def test_an_integral_time_adds_as_much_as_the_fitted_gains_in_that_time(grip):
     law, stiffness = integral_law(time=0.5), np.diag([30.0, 40.0, 50.0, 0.2, 0.3, 0.4])
     none = np.zeros((9, 9))
-    law.fit(FittedGains(none, none, stiffness / 2.0, 0.0, 0.0, 2.0, 2.0, 2.0))
+    law.fit(FittedGains(none, none, stiffness / 2.0, 0.0, 2.0, 2.0))
     target = offset(law, grip, (0.01, 0.02, -0.02), (0.0, 0.1, 0.0))
     for _ in range(100):
         grip.torque("optimal", target, law)
