@@ -71,6 +71,7 @@ setup(
         "figures": ["matplotlib>=3.6,<4", "scipy>=1.11,<2"],
         "mesh": ["trimesh>=4.4"],
         "fast": ["numba>=0.60"],
+        "foxglove": ["foxglove-sdk>=0.30,<1"],
         "mujoco": ["mujoco-core>=4,<5; python_version >= '3.11'"],
         "study": ["joblib>=1.3,<2", "dask>=2024.1", "distributed>=2024.1"],
         "test": ["pytest>=7.4", "pytest-timeout>=2.2", "hypothesis>=6.98"],

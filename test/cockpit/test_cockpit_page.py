@@ -167,11 +167,9 @@ def test_a_slider_turns_the_palm_and_an_arrow_shows_where_up_is(page: Page) -> N
     page.wait(
         lambda: row(page, "palm") == pytest.approx([half, 0, 0, np.sqrt(1 - half**2)], abs=5e-3)
     )
-    page.js("report.up()")
-    up = page.js(
-        "return report.up.arrow.localToWorld(report.up.arrow.position.clone().setY(1)).toArray()"
-    )
-    assert up == pytest.approx([0.0, 0.5, np.sqrt(0.75)], abs=0.02)
+    up = """report.up(); const {arrow} = report.up;
+        return arrow.localToWorld(arrow.position.clone().setY(1)).toArray()"""
+    page.wait(lambda: page.js(up) == pytest.approx([0.0, 0.5, np.sqrt(0.75)], abs=0.02))
     page.js(turn, 0)
     page.wait(lambda: abs(row(page, "palm")[0]) < 5e-3)
     assert np.isfinite(row(page, "contact_positions")).all()

@@ -16,8 +16,8 @@ from tactile_hand_ros.ros import processes as executables
 ROOT = Path(__file__).resolve().parents[2]
 PACKAGE = "tactile_hand_ros"
 EXECUTABLES = """
-cockpit composed controllers driver_output force_optimizer manipulation_controller orchestrator
-plant recorder slip_regulator tactile_sensor viewer
+cockpit composed controllers driver_output force_optimizer foxglove_bridge
+manipulation_controller orchestrator plant recorder slip_regulator tactile_sensor viewer
 """.split()
 # What an installation is made of, and nothing that a developer may have lying about.
 SOURCES = ("config", "launch", "resource", "scripts", PACKAGE)

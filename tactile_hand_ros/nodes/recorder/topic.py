@@ -123,6 +123,10 @@ class RawTopic:
             self._node.destroy_subscription(old)
         return self.publishers != before
 
+    def close(self) -> None:
+        """Unsubscribe."""
+        self._node.destroy_subscription(self._subscription)
+
     def _subscribe(self) -> Subscription:
         return subscribe_directly(self._node, self._class, self.name, self._qos)
 
