@@ -73,8 +73,8 @@ study: $(VENV)/.studies $(VENV)/.package
 # `pytest`, not `python -m pytest`: the latter puts the source tree first, and the tests are to exercise what
 # was installed. Message fields are not type-checked by default; in tests they are.
 # The tests run even when lint complains, so that one run shows everything: first on all cores, file by file, then
-# one by one those that wait for nodes and pages in real time.
-REAL_TIME := test/cockpit test/integration test/unit/nodes
+# one by one those of a page that is drawn in real time.
+REAL_TIME := test/cockpit
 PYTEST = ROS_PYTHON_CHECK_FIELDS=1 "$$VENV_PREFIX/bin/pytest"
 test: $(VENV)/.docs $(VENV)/.browser $(VENV)/.package
 	@failed=0; \

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_hand_ros.compiled import Array, compiled
-from tactile_hand_ros.rotations import Vector, cross, rodrigues, rows_of_quaternions
+from tactile_hand_ros.rotations import Vector, cross, rows_of_quaternions
 
 if TYPE_CHECKING:  # Pinocchio loads slowly
     from tactile_hand_ros.hand.hand import Fingertips
@@ -22,8 +22,6 @@ MIN_CONTACTS = 3
 
 OFF_TIP = 1.0 / 6.0
 """Fraction of its radius by which a fingertip may miss its contact: 10 degrees around the tip."""
-
-_LINE = 1e-6  # relative: contacts on a line do not show a turn about it
 
 # A shorter projection of a unit vector on a face has no clear direction.
 _MIN_PROJECTION = 1e-3
@@ -181,43 +179,6 @@ def in_palm(rotations: Array, forces: Array, scale: float) -> Array:
         for j in range(3):
             out[i, j] = scale * (r[j, 0] * f[0] + r[j, 1] * f[1] + r[j, 2] * f[2])
     return out
-
-
-@compiled
-def carried_along(
-    tips: Fingertips, positions: Array, frames: Array, moved: Array
-) -> tuple[Array, Array]:
-    """Return positions and frames of contacts after a small motion of the fingers.
-
-    The object moves as the contacts carry it: the rigid motion next to those of the fingertips'
-    surfaces there. Its faces turn, and the fingertips roll on them.
-
-    Args:
-        tips: Fingertip centers and Jacobians before the motion.
-        positions: Contact points before the motion, shape (k, 3), m.
-        frames: Contact frames before the motion, shape (k, 3, 3).
-        moved: Change of the joint angles, shape (m,), rad.
-    """
-    centers, linear, angular = tips
-    k, middle = len(positions), centroid(positions)
-    rows, moves, shifted = np.zeros((3 * k, 6)), np.empty(3 * k), np.empty_like(positions)
-    for i in range(k):
-        shift, turn = linear[i] @ moved, angular[i] @ moved
-        a, b, c = positions[i] - middle
-        for j in range(3):
-            rows[3 * i + j, j] = 1.0
-        rows[3 * i, 4], rows[3 * i, 5] = c, -b
-        rows[3 * i + 1, 3], rows[3 * i + 1, 5] = -c, a
-        rows[3 * i + 2, 3], rows[3 * i + 2, 4] = b, -a
-        moves[3 * i : 3 * i + 3] = shift + np.cross(turn, positions[i] - centers[i])
-        shifted[i] = centers[i] + shift
-    x, y, z = np.linalg.lstsq(rows, moves, _LINE)[0][3:]
-    rotation = rodrigues(x, y, z)
-    turned = np.empty_like(frames)
-    for i in range(k):
-        shifted[i] += rotation @ (positions[i] - centers[i])
-        turned[i] = rotation @ frames[i]
-    return shifted, turned
 
 
 def known_part(forces: Array) -> Array:

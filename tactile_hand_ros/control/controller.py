@@ -12,10 +12,11 @@ from numpy.typing import NDArray
 
 from tactile_hand_ros.compiled import Array
 from tactile_hand_ros.config.model import Config, param
-from tactile_hand_ros.control.contact import Contacts, all_finite, carried_along, in_palm
-from tactile_hand_ros.control.delay import TorqueDelay
+from tactile_hand_ros.control.contact import Contacts, all_finite, in_palm
+from tactile_hand_ros.control.grasp import carried_along
 from tactile_hand_ros.control.holds import (
     JointRates,
+    TorqueDelay,
     bearable_fraction,
     fitted_gains,
     kept_contacts,

@@ -5,13 +5,17 @@ from __future__ import annotations
 
 import math
 from itertools import combinations
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from tactile_hand_ros.compiled import Array, compiled
-from tactile_hand_ros.control.contact import centroid, face_frame
+from tactile_hand_ros.control.contact import centroid, face_frame, hand_jacobian
 from tactile_hand_ros.errors import CollinearContactsError, GraspError
-from tactile_hand_ros.rotations import cross
+from tactile_hand_ros.rotations import cross, rodrigues
+
+if TYPE_CHECKING:  # Pinocchio loads slowly
+    from tactile_hand_ros.hand.hand import Fingertips
 
 # Below this, contacts count as lying on a line, and the rotation about it is lost (A7). The two
 # contacts of a gripper never control it, and count as spread.
@@ -19,6 +23,7 @@ MIN_COLLINEARITY_MARGIN = 1e-3
 
 _OTHER_SIDE = np.array([1.0, -1.0, -1.0])  # flips r_y and r_z
 _CLEAR_MARGIN = 0.1  # collinearity margin above which three points make a good frame
+_LINE = 1e-6  # relative: contacts on a line do not show a turn about it
 _LOOSE = 1e-9  # of the scatter, so that the turn about the line of two contacts is finite
 
 
@@ -72,6 +77,36 @@ def net_wrench(points: Array, rotations: Array, forces: Array) -> Array:
         out[4] += q
         out[5] += r
     return out
+
+
+@compiled
+def carried_along(
+    tips: Fingertips, positions: Array, frames: Array, moved: Array
+) -> tuple[Array, Array]:
+    """Return positions and frames of contacts after a small motion of the fingers.
+
+    The object moves with its contacts: by the twist v of G~^T v = J_h d(theta), in least squares.
+    Its faces turn, and the fingertips roll on them.
+
+    Args:
+        tips: Fingertip centers and Jacobians before the motion.
+        positions: Contact points before the motion, shape (k, 3), m.
+        frames: Contact frames before the motion, shape (k, 3, 3).
+        moved: Change of the joint angles, shape (m,), rad.
+
+    Source: Shaw-Cortez et al., equation (6).
+    """
+    k, centers, axes = len(positions), tips[0], np.empty_like(frames)
+    axes[:] = np.eye(3)
+    shifts = hand_jacobian(tips, positions, axes).reshape(3 * k, len(moved)) @ moved
+    twist = np.linalg.lstsq(grasp_map(centered(positions), axes).T, shifts, _LINE)[0]
+    rotation = rodrigues(twist[3], twist[4], twist[5])
+    shifted, turned = np.empty_like(positions), np.empty_like(frames)
+    for i in range(k):
+        center = centers[i] + tips[1][i] @ moved
+        shifted[i] = center + rotation @ (positions[i] - centers[i])
+        turned[i] = rotation @ frames[i]
+    return shifted, turned
 
 
 def wrench_forces(points: Array, wrench: Array) -> Array:

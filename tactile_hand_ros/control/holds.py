@@ -23,6 +23,7 @@ factor s that grows with the load on the tips, and a posture q(t) that comes to 
 from __future__ import annotations
 
 import math
+from collections import deque
 from typing import NamedTuple
 
 import numpy as np
@@ -41,6 +42,7 @@ _MARGIN = 1.5  # of the stiffness over the buckling limit
 _MAX_OFFSET, _MAX_RATE = np.pi, 1e3  # rad and rad/s; keep the torque finite
 _WINDOW = 64  # number of angles; at rest their slope is one angle error over all of them
 _ROUNDING = 0.01  # of the error, so that angles one step apart count as a line
+_DELAY_TICKS = 64  # over which differences of torques are averaged
 _STEP = 1e-5  # of finite differences, rad
 _INDEPENDENT = 1e-9  # of the largest singular value; smaller ones are rounding
 
@@ -91,6 +93,50 @@ class JointRates:
         rates, lengths = _slopes(self._times, self._angles, self._count, (1.0 + _ROUNDING) * error)
         self.error = error / lengths
         return rates
+
+
+class TorqueDelay:
+    """Finds after how many ticks the joints apply a torque.
+
+    Changes of the reported torques are compared with changes of the sent ones, so that an offset
+    does not count. Where noise hides them, or joints report no torques, the delay stays unknown.
+
+    Attributes:
+        ticks: The delay, 0 if a torque acts until the next tick; None if unknown.
+    """
+
+    def __init__(self, largest: int) -> None:
+        """Start without a delay; `largest` is the largest possible one, in ticks."""
+        self.ticks: int | None = None
+        self._differences = np.zeros(largest + 1)
+        self._sent: deque[Array] = deque(maxlen=largest + 2)  # the newest first
+        self.pause()
+
+    @property
+    def allowed(self) -> int:
+        """The delay to allow for, in ticks: the largest one if it is unknown."""
+        return len(self._differences) - 1 if self.ticks is None else self.ticks
+
+    def pause(self) -> None:
+        """Forget what was sent, before other torques act; the delay remains."""
+        self._sent.clear()
+        self._applied: Array | None = None
+
+    def step(self, applied: Array | None) -> None:
+        """Compare torques that acted since the last tick, shape (m,), N m; None if unknown."""
+        before, self._applied = self._applied, applied
+        if before is None or applied is None or len(self._sent) < len(self._differences) + 1:
+            return
+        away = np.diff(self._sent, axis=0) + (applied - before)
+        self._differences += ((away**2).sum(axis=1) - self._differences) / _DELAY_TICKS
+        best = int(self._differences.argmin())
+        others = np.delete(self._differences, best)
+        if (self._differences[best] < 0.5 * others).all():
+            self.ticks = best
+
+    def sent(self, torque: Array) -> None:
+        """Record the torque that answers this tick, shape (m,), N m."""
+        self._sent.appendleft(torque)
 
 
 @compiled

@@ -10,11 +10,11 @@ from support.grasps import normals
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
 from tactile_hand_ros.control.contact import (
     Contacts,
-    carried_along,
     contact_frame,
     hand_jacobian,
     joint_torques,
 )
+from tactile_hand_ros.control.grasp import carried_along
 from tactile_hand_ros.hand.hand import Hand
 from tactile_hand_ros.rotations import quaternion_from_rotation
 from tactile_hand_ros.scenario.scenario import load_scenario

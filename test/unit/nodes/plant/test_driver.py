@@ -228,10 +228,10 @@ def test_two_senders_are_both_refused_until_half_a_second_is_over(make):
     def disagree() -> bool:
         for sender in (0, 1):
             rig.send(rig.now, sender=sender)
-        return facts(rig.node)["mode"] == "holding"
+        status = rig.node.diagnostics.status()
+        return (status.level, status.message) == (ERROR, f"{CONFLICT}; the joints are held")
 
     rig.here.wait(disagree, "the conflict")
-    rig.says(ERROR, f"{CONFLICT}; the joints are held")
     assert int(facts(rig.node)["conflicting_commands"]) > 0
     rig.held_ticks()
     left = "no joint_command since there were two senders of it"

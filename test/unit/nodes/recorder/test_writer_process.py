@@ -53,13 +53,15 @@ def test_what_finds_no_room_is_counted_as_lost(tmp_path, monkeypatch):
     assert writer_process._MAX_WAITING == 64 << 20
     monkeypatch.setattr(writer_process, "_MAX_WAITING", 1 << 20)
     writer = started(tmp_path / "bag")
-    os.kill(writer.process_id, signal.SIGSTOP)
+    process = psutil.Process(writer.process_id)
+    process.suspend()
+    wait_until(lambda: process.status() == psutil.STATUS_STOPPED, 10.0)
     channel = writer.add_channel("/one", TYPE)
     for i in range(400):
         writer.write(channel, MESSAGE + i.to_bytes(4, "little") + bytes(10_000), i, i)
         writer.send()
     assert 0 < writer.lost[channel] < 300
-    os.kill(writer.process_id, signal.SIGCONT)
+    process.resume()
     writer.close()
     numbers = [int.from_bytes(m.data[12:16], "little") for m in read_messages(tmp_path / "bag")]
     assert numbers == list(range(400 - writer.lost[channel]))
