@@ -3,6 +3,7 @@
 
 import signal
 import struct
+import threading
 from collections.abc import Iterator
 from typing import Any
 
@@ -172,12 +173,17 @@ def test_a_flood_costs_ticks_and_not_the_grip(graph, which):
     graph.wait(lambda: publisher.get_subscription_count() > 0, f"a reader of {topic}")
     data, sent = serialize_message(message), list[int]()
     burst, enough = (1, 15) if which == "megabytes" else (25, 700)
+    is_over = threading.Event()
 
     def send() -> None:
-        sent.extend(publisher.publish(data) or 1 for _ in range(burst))
+        if not is_over.is_set():
+            sent.extend(publisher.publish(data) or 1 for _ in range(burst))
 
     timer = graph.node.create_timer(0.02 if burst == 1 else 0.01, send)
     until = graph.time + 0.2
     graph.wait(lambda: graph.time > until and len(sent) > enough, "ticks during the flood")
+    is_over.set()
+    last = graph.time  # a newer tick is taken after the last call of `send`
+    graph.wait(lambda: graph.time > last, "the end of the flood")
     graph.node.destroy_timer(timer)
     graph.node.destroy_publisher(publisher)
