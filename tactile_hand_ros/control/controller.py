@@ -253,7 +253,7 @@ class Controller:
         self._mode = Mode.NO_GRASP
         self._held: Held | None = None  # unknown
         self._posture = np.zeros(self.hand.joints)  # of the hold
-        self._delay = TorqueDelay(self.config.hold.latency)
+        self._delay = TorqueDelay(self.config.hold.latency, self.hand.joints)
         self._grasp: Grasp | None = None
         self._last_torque: Array | None = None  # of the law, one tick ago
         self._last_stamp: int | None = None

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from tactile_hand_ros.compiled import Array, compiled
-from tactile_hand_ros.control.contact import centroid, face_frame, hand_jacobian
+from tactile_hand_ros.control.contact import centroid, face_frame
 from tactile_hand_ros.errors import CollinearContactsError, GraspError
 from tactile_hand_ros.rotations import cross, rodrigues
 
@@ -23,8 +23,7 @@ MIN_COLLINEARITY_MARGIN = 1e-3
 
 _OTHER_SIDE = np.array([1.0, -1.0, -1.0])  # flips r_y and r_z
 _CLEAR_MARGIN = 0.1  # collinearity margin above which three points make a good frame
-_LINE = 1e-6  # relative: contacts on a line do not show a turn about it
-_LOOSE = 1e-9  # of the scatter, so that the turn about the line of two contacts is finite
+_LOOSE = 1e-9  # of the scatter, so that the turn about a line of contacts is finite
 
 
 @compiled
@@ -86,7 +85,8 @@ def carried_along(
     """Return positions and frames of contacts after a small motion of the fingers.
 
     The object moves with its contacts: by the twist v of G~^T v = J_h d(theta), in least squares.
-    Its faces turn, and the fingertips roll on them.
+    About the centroid it turns by S^-1 sum(d_i x dp_i), see `wrench_forces`. Its faces turn, and
+    the fingertips roll on them.
 
     Args:
         tips: Fingertip centers and Jacobians before the motion.
@@ -96,15 +96,23 @@ def carried_along(
 
     Source: Shaw-Cortez et al., equation (6).
     """
-    k, centers, axes = len(positions), tips[0], np.empty_like(frames)
-    axes[:] = np.eye(3)
-    shifts = hand_jacobian(tips, positions, axes).reshape(3 * k, len(moved)) @ moved
-    twist = np.linalg.lstsq(grasp_map(centered(positions), axes).T, shifts, _LINE)[0]
-    rotation = rodrigues(twist[3], twist[4], twist[5])
-    shifted, turned = np.empty_like(positions), np.empty_like(frames)
-    for i in range(k):
-        center = centers[i] + tips[1][i] @ moved
-        shifted[i] = center + rotation @ (positions[i] - centers[i])
+    centers, linear, angular = tips
+    arms, turning, shifted = centered(positions), np.zeros(3), np.empty_like(positions)
+    for i in range(len(arms)):
+        shift, spin, d = linear[i] @ moved, angular[i] @ moved, positions[i] - centers[i]
+        shifted[i] = centers[i] + shift
+        x, y, z = cross((spin[0], spin[1], spin[2]), (d[0], d[1], d[2]))
+        x, y, z = shift[0] + x, shift[1] + y, shift[2] + z
+        x, y, z = cross((arms[i, 0], arms[i, 1], arms[i, 2]), (x, y, z))
+        turning[0] += x
+        turning[1] += y
+        turning[2] += z
+    scatter = arms.T @ arms
+    scatter += _LOOSE * np.trace(scatter) * np.eye(3)
+    x, y, z = _solve_spread(scatter, turning)
+    rotation, turned = rodrigues(x, y, z), np.empty_like(frames)
+    for i in range(len(arms)):
+        shifted[i] += rotation @ (positions[i] - centers[i])
         turned[i] = rotation @ frames[i]
     return shifted, turned
 

@@ -23,7 +23,6 @@ factor s that grows with the load on the tips, and a posture q(t) that comes to 
 from __future__ import annotations
 
 import math
-from collections import deque
 from typing import NamedTuple
 
 import numpy as np
@@ -105,11 +104,11 @@ class TorqueDelay:
         ticks: The delay, 0 if a torque acts until the next tick; None if unknown.
     """
 
-    def __init__(self, largest: int) -> None:
-        """Start without a delay; `largest` is the largest possible one, in ticks."""
+    def __init__(self, largest: int, joints: int) -> None:
+        """Start without a delay; `largest` is the largest possible one, in ticks, of m joints."""
         self.ticks: int | None = None
         self._differences = np.zeros(largest + 1)
-        self._sent: deque[Array] = deque(maxlen=largest + 2)  # the newest first
+        self._sent = np.zeros((largest + 2, joints))  # the newest first
         self.pause()
 
     @property
@@ -119,24 +118,47 @@ class TorqueDelay:
 
     def pause(self) -> None:
         """Forget what was sent, before other torques act; the delay remains."""
-        self._sent.clear()
+        self._count = 0
         self._applied: Array | None = None
 
     def step(self, applied: Array | None) -> None:
         """Compare torques that acted since the last tick, shape (m,), N m; None if unknown."""
         before, self._applied = self._applied, applied
-        if before is None or applied is None or len(self._sent) < len(self._differences) + 1:
+        if before is None or applied is None or self._count < len(self._sent):
             return
-        away = np.diff(self._sent, axis=0) + (applied - before)
-        self._differences += ((away**2).sum(axis=1) - self._differences) / _DELAY_TICKS
-        best = int(self._differences.argmin())
-        others = np.delete(self._differences, best)
-        if (self._differences[best] < 0.5 * others).all():
+        best = _best_delay(self._sent, applied - before, self._differences)
+        if best >= 0:
             self.ticks = best
 
     def sent(self, torque: Array) -> None:
         """Record the torque that answers this tick, shape (m,), N m."""
-        self._sent.appendleft(torque)
+        self._sent[1:] = self._sent[:-1]
+        self._sent[0] = torque
+        self._count += 1
+
+
+@compiled
+def _best_delay(sent: Array, change: Array, differences: Array) -> int:
+    """Update the mean squared differences, shape (n,); return the delay that fits best.
+
+    It is -1 unless it fits twice as well as any other.
+
+    Args:
+        sent: Sent torques, the newest first, shape (n + 1, m), N m.
+        change: Change of the reported torques, shape (m,), N m.
+        differences: Between that change and those of the sent ones, by delay, N^2 m^2.
+    """
+    for n in range(len(differences)):
+        total = 0.0
+        for j in range(len(change)):
+            away = sent[n, j] - sent[n + 1, j] - change[j]
+            total += away * away
+        differences[n] += (total - differences[n]) / _DELAY_TICKS
+    best = int(np.argmin(differences))
+    for n in range(len(differences)):
+        if n != best and not differences[best] < 0.5 * differences[n]:
+            return -1
+    return best
 
 
 @compiled

@@ -22,12 +22,12 @@ def follow(delay, true, noise=0.0, ticks=200, seed=3):
 
 @pytest.mark.parametrize("true", [0, 1, 2, 3])
 def test_it_finds_the_delay_whatever_the_offset(true):
-    delay = TorqueDelay(3)
+    delay = TorqueDelay(3, 3)
     assert follow(delay, true, noise=0.003) == delay.allowed == true
 
 
 def test_a_delay_that_changes_is_found_again():
-    delay = TorqueDelay(3)
+    delay = TorqueDelay(3, 3)
     assert follow(delay, 2) == 2
     delay.pause()  # another sender's torques, which are not compared
     delay.step(OFFSET)
@@ -36,13 +36,13 @@ def test_a_delay_that_changes_is_found_again():
 
 @pytest.mark.parametrize("largest", [2, 3])
 def test_where_noise_hides_it_the_largest_is_allowed_for(largest):
-    delay = TorqueDelay(largest)
+    delay = TorqueDelay(largest, 3)
     assert follow(delay, 1, noise=0.05) is None
     assert delay.allowed == largest
 
 
 def test_torques_that_are_unknown_or_stay_show_no_delay():
-    delay = TorqueDelay(3)
+    delay = TorqueDelay(3, 3)
     for _ in range(200):
         delay.step(None)
         delay.sent(OFFSET)
