@@ -12,7 +12,8 @@ from tactile_hand_ros.control.driver_output import DriverOutput
 from tactile_hand_ros.scenario.scenario import load_scenario
 
 STIFFNESS, DAMPING = 5.0, 0.003  # N m/rad, N m s/rad: 7 % of critical at the base
-SCENARIO = load_scenario("human_hold", {"duration": 2.0, "plant.time_step": 0.00025})
+LATE = {"manipulation_controller.hold.latency": 1}  # ticks, of a servo
+SCENARIO = load_scenario("human_hold", {"duration": 2.0, "plant.time_step": 0.00025, **LATE})
 
 
 class ServoLoop(ClosedLoop):
