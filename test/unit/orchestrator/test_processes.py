@@ -113,9 +113,11 @@ folder = Path(sys.argv[1])
 recorder = f'''
 import signal
 from pathlib import Path
-signal.signal(signal.SIGINT, lambda *_: Path("{folder}/bag").write_text("finished"))
-print("ready", flush=True)
-signal.pause()
+try:
+    print("ready", flush=True)
+    signal.pause()
+except KeyboardInterrupt:
+    Path("{folder}/bag").write_text("finished")
 '''
 programs = {
     "suspended": ["/bin/sh", "-c", "kill -STOP $$"],

@@ -102,8 +102,8 @@ def test_a_found_grasp_holds_at_the_first_try_and_bears_a_pull(tmp_path, shape, 
     """Under gravity, with gains from the hand.
 
     Rounding decides where the search ends and so which grasp is the best; one may be three times
-    as stiff as another. A grasp that holds gives way until the observer carries its load, and in
-    proportion to it, the weight of 1 N and then the pull of 2 N; one that slips gives way further.
+    as stiff as another. A grasp that holds gives way in proportion to its load, the weight of 1 N
+    and then the pull of 2 N, and comes back as the observer carries it; one that slips does not.
     """
     body = body_of(size, shape, 0.1)
     best = search(Hand.load("human", gravity=DOWN), body)[0]
@@ -114,7 +114,7 @@ def test_a_found_grasp_holds_at_the_first_try_and_bears_a_pull(tmp_path, shape, 
     ).run()
     moved = np.linalg.norm(record.object_position - record.object_position[0], axis=1)
     sagged, pulled = moved[:500].max(), moved[500:].max()
-    assert len(record) == 1501 and sagged < 0.004 and moved[-1] < 1e-3
+    assert len(record) == 1501 and sagged < 0.004 and moved[-1] < pulled / 3.0
     assert pulled < 1.25 * sagged * 2.0 / (9.81 * body.mass)
     assert np.isfinite(record.true_positions).all() and record.true_slid[-1].max() < 1e-3
 
