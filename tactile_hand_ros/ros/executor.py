@@ -38,6 +38,7 @@ from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
 from rclpy.node import Node
 from rclpy.service import Service
 from rclpy.subscription import Subscription
+from rclpy.timer import Timer
 
 from tactile_hand_ros.errors import MessageError
 
@@ -52,6 +53,11 @@ EVENT_PERIOD_NS = 1_000_000_000
 
 _KINDS = ("subscription", "guard_condition", "timer", "client", "service")
 _EVENT = "event"
+
+
+def _overdue(timer: Timer) -> float:
+    """Return by how many of its periods a timer is late, so that none has to wait for ever."""
+    return -(timer.time_until_next_call() or 0) / max(timer.timer_period_ns, 1)
 
 
 def spin(nodes: Node | Sequence[Node], executor: Executor | None = None) -> None:
@@ -183,7 +189,10 @@ class WaitSetExecutor(Executor):
         return [_WaitSet(each, context, stack) for each in (frequent, rare, events)]
 
     def _step(self, waiting: _WaitSet, limit_ns: int) -> None:
-        """Wait once, up to a limit [ns], and serve every entity that is ready."""
+        """Wait once, up to a limit [ns], and serve what is ready, but of the timers only one.
+
+        Otherwise ticks would wait for the diagnostics of all nodes in turn.
+        """
         waiting.wait(limit_ns)
         guards = waiting.ready("guard_condition")
         if guards and not self._is_running():
@@ -191,11 +200,12 @@ class WaitSetExecutor(Executor):
         for guard in guards:
             if guard.callback is not None and not self._stale:
                 guard.callback()
-        for timer in waiting.ready("timer"):
-            # A cancelled timer is reported as ready one more time.
-            if not self._stale and timer.handle.is_timer_ready():
-                timer.handle.call_timer()
-                timer.callback()
+        # A cancelled timer is reported as ready one more time.
+        timers = [timer for timer in waiting.ready("timer") if timer.handle.is_timer_ready()]
+        if timers and not self._stale:
+            timer = max(timers, key=_overdue)
+            timer.handle.call_timer()
+            timer.callback()
         for subscription in waiting.ready("subscription"):
             self._drain(subscription)
         if self._afterwards:

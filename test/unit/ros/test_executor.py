@@ -1,9 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """The node executor serves the same entities as rclpy's, in turn, survives errors, and stops."""
 
+import itertools
 import signal
 import sys
 import textwrap
+import threading
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -176,6 +178,29 @@ def test_a_flood_leaves_the_other_topics_their_turn(nodes):
     publish(nodes[1], "few", Float64())
     spin_until(nodes, lambda: len(order) == 251)
     assert order.index("few") in (0, 100)
+
+
+def test_a_fast_timer_waits_for_one_slow_one_at_most(nodes):
+    """However many are due at once, as the diagnostics of all nodes; and none waits for ever."""
+    called: list[str] = []
+
+    def slow() -> None:
+        called.append("slow")
+        threading.Event().wait(0.02)  # the fast one is due again
+
+    timers = [node.create_timer(0.5, slow) for node in nodes for _ in range(2)]
+    nodes[0].create_timer(0.005, lambda: called.append("fast"))
+    spin_until(nodes, lambda: called.count("slow") == len(timers))
+    first, last = called.index("slow"), len(called) - called[::-1].index("slow")
+    during = called[first:last]
+    assert all(pair != ("slow", "slow") for pair in itertools.pairwise(during))
+
+
+def test_timers_that_are_always_due_leave_a_slow_one_its_turn(nodes):
+    called: list[str] = []
+    nodes[0].create_timer(0.001, lambda: threading.Event().wait(0.003))
+    nodes[1].create_timer(0.05, lambda: called.append("slow"))
+    spin_until(nodes, lambda: len(called) > 2)
 
 
 def test_what_waits_for_the_end_of_reading_is_called_once_after_all_messages(nodes):
