@@ -265,6 +265,8 @@ class Controller:
         self._touching, self._fingers = touching, self.hand.part(touching)
         self._inputs = InputCheck(self._fingers)
         self._room: Array | None = None  # largest during the present move, see `room`
+        # Contact points, and the joint angles and fingertips of the tick that first had them.
+        self._sample: tuple[Array, Array, Fingertips] | None = None
 
     def _new_grasp(self) -> None:
         self.warning, self._fitted_to, self._fitted_fingers = "", (0.0, 0), 0
@@ -425,17 +427,23 @@ class Controller:
         return Command(torque, Mode.DRIVE, pose, refused)
 
     def _acting(self, now: _Tick, tips: Fingertips) -> tuple[_Tick, Fingertips]:
-        """Return joints, contacts and fingertips when the torque acts, by the joint rates.
+        """Return joints, contacts and fingertips when the torque acts.
 
-        A torque acts after its delay, for a tick: half a tick later on average. Directions as old
-        as that would cost damping.
+        A torque acts after its delay, for a tick: half a tick later on average. The joints move on
+        by their rates, and the contacts with them since their sample, which a slow skin repeats.
+        Older directions would cost damping.
         """
-        ticks = (self._delay.ticks or 0) + (0.0 if self.config.midpoint_hold else 0.5)
-        if ticks == 0.0 or now.elapsed == 0.0 or not all_finite(now.rates):
-            return now, tips
-        moved = ticks * self._period * now.rates
         touch = now.contacts.positions, now.contacts.rotations
-        theta, contacts = now.theta + moved, Contacts(*carried_along(tips, *touch, moved))
+        if self._sample is None or (touch[0] != self._sample[0]).any():
+            self._sample = touch[0], now.theta, tips
+        _, theta, sampled = self._sample
+        ticks = (self._delay.ticks or 0) + (0.0 if self.config.midpoint_hold else 0.5)
+        passes = now.elapsed > 0.0 and all_finite(now.rates)
+        ahead = ticks * self._period * now.rates if passes else self._none
+        moved = now.theta - theta + ahead
+        if not moved.any():
+            return now, tips
+        contacts, theta = Contacts(*carried_along(sampled, *touch, moved)), now.theta + ahead
         return now._replace(theta=theta, contacts=contacts), self._fingers.fingertips(theta)
 
     def _law_torque(self, now: _Tick, tips: Fingertips, wanted: Target) -> LawTorque:

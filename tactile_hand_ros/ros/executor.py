@@ -57,7 +57,7 @@ _EVENT = "event"
 
 def _overdue(timer: Timer) -> float:
     """Return by how many of its periods a timer is late, so that none has to wait for ever."""
-    return -(timer.time_until_next_call() or 0) / max(timer.timer_period_ns, 1)
+    return float(-(timer.time_until_next_call() or 0) / max(timer.timer_period_ns, 1))
 
 
 def spin(nodes: Node | Sequence[Node], executor: Executor | None = None) -> None:

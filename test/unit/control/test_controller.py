@@ -10,6 +10,7 @@ from support.grasps import moved
 
 from tactile_hand_ros.control.contact import Contacts
 from tactile_hand_ros.control.controller import ControllerConfig, Mode
+from tactile_hand_ros.control.grasp import carried_along
 from tactile_hand_ros.control.laws import Target
 from tactile_hand_ros.control.targets import MAX_WAITING
 from tactile_hand_ros.errors import GraspError, PoseError
@@ -270,6 +271,22 @@ def test_gravity_is_carried_in_every_mode():
     np.testing.assert_allclose(bench.open - plain.open, weight, atol=1e-12)
     np.testing.assert_allclose(bench.held - plain.held, weight, atol=1e-12)
     np.testing.assert_allclose(bench.idle - plain.idle, weight, atol=1e-12)
+
+
+def test_contacts_that_a_slow_skin_repeats_move_with_the_fingers():
+    """They are where the object, which they carry, has them."""
+    slow, fast = Bench(), Bench()
+    for bench in (slow, fast):
+        bench.step(2)
+    for tick in range(1, 4):
+        turned = tick * np.array([0.002, -0.004, 0.003, 0.0, 0.002, -0.002, 0.004, 0.0, -0.003])
+        tips = fast.controller.hand.fingertips(fast.theta)
+        touch = fast.contacts.positions, fast.contacts.rotations
+        there = Contacts(*carried_along(tips, *touch, turned))
+        seen = fast.step(theta=fast.theta + turned, contacts=there)
+        stale = slow.step(theta=slow.theta + turned)
+        np.testing.assert_allclose(stale.torque, seen.torque, atol=1e-12)
+    assert np.abs(slow.step().torque - seen.torque).max() > 1e-3
 
 
 def test_midpoint_hold_extrapolates_by_half_a_tick():

@@ -8,6 +8,7 @@ from support.equations import grasp_map, hand_jacobian
 
 from tactile_hand_ros.control.contact import in_palm, joint_torques
 from tactile_hand_ros.control.controller import Mode
+from tactile_hand_ros.control.grasp import carried_along
 from tactile_hand_ros.control.holds import kept_contacts
 from tactile_hand_ros.errors import PoseError
 
@@ -28,10 +29,12 @@ def normal(bench, missing=0.0):
 
 
 def pressing(bench, grasp_force, theta):
-    """Return the torques of an internal force, shape (9,), N m."""
-    forces = in_palm(bench.contacts.rotations, bench.optimal, grasp_force)
-    tips = bench.controller.hand.fingertips(theta)
-    return joint_torques(*tips, bench.contacts.positions, forces)
+    """Return the torques of an internal force, shape (9,), N m; the contacts move with the tips."""
+    hand, touch = bench.controller.hand, bench.contacts
+    tips, moved = hand.fingertips(bench.theta), theta - bench.theta
+    positions, frames = carried_along(tips, touch.positions, touch.rotations, moved)
+    forces = in_palm(frames, bench.optimal, grasp_force)
+    return joint_torques(*hand.fingertips(theta), positions, forces)
 
 
 def test_it_presses_from_its_posture_which_a_hold_keeps():
