@@ -3,8 +3,10 @@
 
 from __future__ import annotations
 
+import bisect
 import enum
 import math
+from collections import deque
 from typing import NamedTuple
 
 import numpy as np
@@ -33,7 +35,12 @@ from tactile_hand_ros.control.laws import (
     NormalForceControl,
     Target,
 )
-from tactile_hand_ros.control.plausibility import InputCheck, Tolerances, implausible_shape
+from tactile_hand_ros.control.plausibility import (
+    InputCheck,
+    Tolerances,
+    TouchAge,
+    implausible_shape,
+)
 from tactile_hand_ros.control.reach import end_of, room
 from tactile_hand_ros.control.regrasp import Regrasp, RegraspConfig
 from tactile_hand_ros.control.targets import Grasp, SmoothReference, TargetQueue
@@ -109,8 +116,7 @@ class ControllerConfig(Config):
     )
     touch_latency: float = param(
         0.015,
-        "largest age of measured forces, with the time between samples; they are compared with "
-        "the joint torques since then",
+        "largest age of contacts and forces of the skin, with the time between samples",
         unit="s",
         live=True,
         ge=0.0,
@@ -265,8 +271,10 @@ class Controller:
         self._touching, self._fingers = touching, self.hand.part(touching)
         self._inputs = InputCheck(self._fingers)
         self._room: Array | None = None  # largest during the present move, see `room`
-        # Contact points, and the joint angles and fingertips of the tick that first had them.
-        self._sample: tuple[Array, Array, Fingertips] | None = None
+        # Contact points, m, and the joint angles when they were measured, rad.
+        self._sample: tuple[Array, Array] | None = None
+        self._past: deque[tuple[int, Array]] = deque()  # ticks, ns, and their joint angles, rad
+        self._age = TouchAge(self._fingers.fingers)
 
     def _new_grasp(self) -> None:
         self.warning, self._fitted_to, self._fitted_fingers = "", (0.0, 0), 0
@@ -430,21 +438,41 @@ class Controller:
         """Return joints, contacts and fingertips when the torque acts.
 
         A torque acts after its delay, for a tick: half a tick later on average. The joints move on
-        by their rates, and the contacts with them since their sample, which a slow skin repeats.
-        Older directions would cost damping.
+        by their rates. The contacts move with them since they were measured: a skin is late, and a
+        slow one repeats its samples. Older directions would cost damping.
         """
         touch = now.contacts.positions, now.contacts.rotations
-        if self._sample is None or (touch[0] != self._sample[0]).any():
-            self._sample = touch[0], now.theta, tips
-        _, theta, sampled = self._sample
-        ticks = (self._delay.ticks or 0) + (0.0 if self.config.midpoint_hold else 0.5)
+        self._past.append((now.stamp, now.theta))
+        while self._past[0][0] < now.stamp - 1e9 * self.config.touch_latency:
+            self._past.popleft()
         passes = now.elapsed > 0.0 and all_finite(now.rates)
+        if self._sample is None or (touch[0] != self._sample[0]).any():
+            self._sample = touch[0], self._sampled(now, tips, passes)
+        since = now.theta - self._sample[1]
+        ticks = (self._delay.ticks or 0) + (0.0 if self.config.midpoint_hold else 0.5)
         ahead = ticks * self._period * now.rates if passes else self._none
-        moved = now.theta - theta + ahead
-        if not moved.any():
+        if not (since + ahead).any():
             return now, tips
-        contacts, theta = Contacts(*carried_along(sampled, *touch, moved)), now.theta + ahead
-        return now._replace(theta=theta, contacts=contacts), self._fingers.fingertips(theta)
+        then = tips._replace(positions=tips.positions - tips.linear @ since)
+        contacts, theta = carried_along(then, *touch, since + ahead), now.theta + ahead
+        now = now._replace(theta=theta, contacts=Contacts(*contacts))
+        return now, self._fingers.fingertips(theta)
+
+    def _sampled(self, now: _Tick, tips: Fingertips, passes: bool) -> Array:
+        """Return the joint angles when a new sample was measured, shape (m,), rad."""
+        limits = self.config.touch_latency, self.config.hold.resolution
+        if passes and limits[0] > 0.0:
+            self._age.step(tips, now.rates, now.contacts, self._fingers.radii, *limits)
+        if self._age.age < 0.5 * self._period:
+            return now.theta
+        return self._angles_at(now.stamp - 1e9 * self._age.age)
+
+    def _angles_at(self, stamp: float) -> Array:
+        """Return the joint angles at a past time in ns, shape (m,), rad, or the oldest known."""
+        later = bisect.bisect_right(self._past, stamp, key=lambda past: past[0])
+        (since, before), (until, after) = self._past[max(0, later - 1)], self._past[later]
+        part = (stamp - since) / (until - since) if until > since else 0.0
+        return before + part * (after - before)
 
     def _law_torque(self, now: _Tick, tips: Fingertips, wanted: Target) -> LawTorque:
         """Return the torques of the law, without a drive where the grasp keeps its posture.

@@ -31,10 +31,11 @@ def normal(bench, missing=0.0):
 def pressing(bench, grasp_force, theta):
     """Return the torques of an internal force, shape (9,), N m; the contacts move with the tips."""
     hand, touch = bench.controller.hand, bench.contacts
-    tips, moved = hand.fingertips(bench.theta), theta - bench.theta
-    positions, frames = carried_along(tips, touch.positions, touch.rotations, moved)
+    tips, moved = hand.fingertips(theta), theta - bench.theta
+    before = tips._replace(positions=tips.positions - tips.linear @ moved)
+    positions, frames = carried_along(before, touch.positions, touch.rotations, moved)
     forces = in_palm(frames, bench.optimal, grasp_force)
-    return joint_torques(*hand.fingertips(theta), positions, forces)
+    return joint_torques(*tips, positions, forces)
 
 
 def test_it_presses_from_its_posture_which_a_hold_keeps():
