@@ -24,7 +24,7 @@ from tactile_hand_ros.simulation.plant import Plant
 PACKAGE = Path(tactile_hand_ros.__file__).parent
 ANSWERS = (names.JOINT_COMMAND, names.GRASP_FORCE)
 TICK = 2_000_000
-STEADY = 5
+STEADY = 7
 """Ticks after which no code path is new."""
 
 
