@@ -8,7 +8,7 @@ the URDF, in which they are often wrong.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from xml.etree.ElementTree import Element, SubElement
 
 import numpy as np
@@ -38,15 +38,7 @@ def cut_at_palm(root: Element, palm: str, name: str) -> None:
             f"palm link '{palm}' is not a link of '{name}'; name one of its links as 'palm' in the "
             f"hand's YAML: {', '.join(links)}"
         )
-    kept, waiting = {palm}, [palm]
-    children: dict[str, list[str]] = {}
-    for joint in root.findall("joint"):
-        parent, child = _ends(joint)
-        children.setdefault(parent, []).append(child)
-    while waiting:
-        found = [link for link in children.get(waiting.pop(), []) if link not in kept]
-        kept.update(found)
-        waiting += found
+    kept = _with_those_behind(root, {palm})
     for link in root.findall("link"):
         if link.get("name") not in kept:
             root.remove(link)
@@ -58,14 +50,17 @@ def cut_at_palm(root: Element, palm: str, name: str) -> None:
 
 def moved_links(root: Element) -> set[str]:
     """Return the links of a URDF that some joint moves."""
-    moved: set[str] = set()
-    ends = [(*_ends(joint), joint.get("type") != "fixed") for joint in root.findall("joint")]
-    for _ in ends:  # at most as deep as there are joints
-        more = {child for parent, child, moves in ends if moves or parent in moved}
-        if more <= moved:
-            break
-        moved |= more
-    return moved
+    joints = (joint for joint in root.findall("joint") if joint.get("type") != "fixed")
+    return _with_those_behind(root, {_ends(joint)[1] for joint in joints})
+
+
+def _with_those_behind(root: Element, links: set[str]) -> set[str]:
+    """Return some links and all that hang on them."""
+    ends, found = [_ends(joint) for joint in root.findall("joint")], set[str]()
+    while not links <= found:
+        found |= links
+        links = {child for parent, child in ends if parent in found}
+    return found
 
 
 def take_hand(root: Element, config: HandConfig, name: str) -> dict[str, Coupling]:
@@ -119,11 +114,15 @@ def _chains(root: Element, tips: list[str]) -> set[str]:
     return found
 
 
+def _put(joint: Element, tag: str, values: Mapping[str, str]) -> None:
+    """Set attributes of a joint's only child with a tag, which is added if it has none."""
+    element = joint.find(tag)
+    element = SubElement(joint, tag) if element is None else element
+    element.attrib.update(values)
+
+
 def _limit(joint: Element, values: Mapping[str, float]) -> None:
-    limit = joint.find("limit")
-    limit = SubElement(joint, "limit") if limit is None else limit
-    for key, value in values.items():
-        limit.set(key, repr(float(value)))
+    _put(joint, "limit", {key: repr(float(value)) for key, value in values.items()})
 
 
 def _check_limit(joint: Element, follows: bool, name: str) -> None:
@@ -160,7 +159,8 @@ def _couplings(
                 f"{coupling.ratio:g}, expected a joint that moves on its own and a ratio other than"
                 " 0; correct 'couplings' in the hand's YAML"
             )
-        _mimic(joints[follower], coupling)
+        numbers = {"multiplier": repr(coupling.ratio), "offset": repr(coupling.offset)}
+        _put(joints[follower], "mimic", {"joint": coupling.joint, **numbers})
     return found
 
 
@@ -169,14 +169,6 @@ def _of_urdf(joints: Mapping[str, Element]) -> Iterator[tuple[str, Coupling]]:
         if (mimic := joint.find("mimic")) is not None:
             ratio, offset = _number(mimic, "multiplier", 1.0), _number(mimic, "offset", 0.0)
             yield name, Coupling(joint=str(mimic.get("joint")), ratio=ratio, offset=offset)
-
-
-def _mimic(joint: Element, coupling: Coupling) -> None:
-    mimic = joint.find("mimic")
-    mimic = SubElement(joint, "mimic") if mimic is None else mimic
-    mimic.set("joint", coupling.joint)
-    mimic.set("multiplier", repr(coupling.ratio))
-    mimic.set("offset", repr(coupling.offset))
 
 
 def _lock(joint: Element) -> None:
@@ -198,7 +190,6 @@ def _shift(joint: Element, at: float) -> None:
     import pinocchio as pin  # loads slowly, and most hands lock nothing
 
     origin, axis = joint.find("origin"), joint.find("axis")
-    origin = SubElement(joint, "origin") if origin is None else origin
     place, angles = (three_numbers(origin, key) for key in ("xyz", "rpy"))
     along = at * three_numbers(axis, "xyz", "1 0 0")
     rotation = pin.rpy.rpyToMatrix(angles)
@@ -206,8 +197,12 @@ def _shift(joint: Element, at: float) -> None:
         place = place + rotation @ along
     else:
         angles = pin.rpy.matrixToRpy(rotation @ pin.exp3(along))
-    origin.set("xyz", " ".join(map(repr, place.tolist())))
-    origin.set("rpy", " ".join(map(repr, angles.tolist())))
+    place_joint(joint, place.tolist(), angles.tolist())
+
+
+def place_joint(joint: Element, xyz: Iterable[float], rpy: Iterable[float]) -> None:
+    """Set the origin of a joint: its place, m, and its angles, rad."""
+    _put(joint, "origin", {"xyz": " ".join(map(repr, xyz)), "rpy": " ".join(map(repr, rpy))})
 
 
 def _number(element: Element, key: str, default: float) -> float:

@@ -13,7 +13,7 @@ import numpy as np
 from tactile_hand_ros.config.hand_config import Coupling, HandConfig, MountConfig
 from tactile_hand_ros.config.plain_yaml import read_text
 from tactile_hand_ros.errors import ConfigurationError, HandModelError
-from tactile_hand_ros.hand.extract import cut_at_palm, moved_links, take_hand
+from tactile_hand_ros.hand.extract import cut_at_palm, moved_links, place_joint, take_hand
 
 _GRAVITY = 9.81  # m/s^2
 _MAX_LINKS = 500
@@ -220,8 +220,4 @@ def _move(root: Element, layout: Mapping[str, MountConfig], name: str) -> None:
                 f"the layout moves joint '{moved}', which is not a fixed joint of '{name}'; "
                 f"fixed joints: {', '.join(str(j) for j in joints)}"
             )
-        origin = joints[moved].find("origin")
-        if origin is None:
-            origin = ElementTree.SubElement(joints[moved], "origin")
-        origin.set("xyz", " ".join(map(repr, mount.xyz)))
-        origin.set("rpy", " ".join(map(repr, mount.rpy)))
+        place_joint(joints[moved], mount.xyz, mount.rpy)
