@@ -28,12 +28,12 @@ class Fit(NamedTuple):
     """A sphere fitted to a fingertip.
 
     Attributes:
-        center: In the frame of the tip link, m.
+        center: In the frame of the tip link, shape (3,), m.
         radius: In m.
         error: Root mean square distance of the mesh from the sphere, m.
     """
 
-    center: tuple[float, float, float]
+    center: Array
     radius: float
     error: float
 
@@ -60,7 +60,7 @@ def fitted_tips(config: HandConfig, description: str) -> tuple[list[FingerConfig
                     f"along the axis {list(finger.axis)}; correct 'axis', or give 'radius' and "
                     "'center' in the hand's YAML"
                 )
-            update = {"center": fit.center, "radius": fit.radius}
+            update = {"center": tuple(fit.center.tolist()), "radius": fit.radius}
             fingers[i], errors[i] = finger.model_copy(update=update), fit.error
     return fingers, errors
 
@@ -80,7 +80,7 @@ def fit_tip(points: Array, axis: Array) -> Fit:
     center, radius, away = np.zeros(3), 0.0, np.zeros(0)
     for _ in range(_ROUNDS):
         if not chosen.any():
-            return Fit((0.0, 0.0, 0.0), 0.0, np.inf)
+            return Fit(np.zeros(3), 0.0, np.inf)
         near = points[chosen]
         # |p|^2 = 2 p.c + (r^2 - |c|^2) is linear in the center c and in the rest.
         system = np.column_stack([2.0 * near, np.ones(len(near))])
@@ -89,29 +89,23 @@ def fit_tip(points: Array, axis: Array) -> Fit:
         away = np.linalg.norm(near - center, axis=1) - radius
         apart = points - center
         chosen = (apart @ axis > 0.0) & (np.linalg.norm(apart, axis=1) < _BEYOND * radius)
-    x, y, z = center.tolist()
-    return Fit((x, y, z), radius, float(np.sqrt((away**2).mean())))
+    return Fit(center, radius, float(np.sqrt((away**2).mean())))
 
 
 def _own(root: Element, finger: FingerConfig) -> Fit | None:
     """Return the sphere of a tip link's collision shapes, the last one along its axis."""
     found = []
     for shape in root.findall(f"link[@name='{finger.tip}']/collision"):
-        sphere, origin = shape.find("geometry/sphere"), shape.find("origin")
-        if sphere is not None:
-            center = three_numbers(origin, "xyz")
-            x, y, z = center.tolist()
-            fit = Fit((x, y, z), float(sphere.get("radius", "nan")), 0.0)
-            found.append((float(center @ np.array(finger.axis)), fit))
-    return max(found)[1] if found else None
+        if (sphere := shape.find("geometry/sphere")) is not None:
+            center = three_numbers(shape.find("origin"), "xyz")
+            found.append(Fit(center, float(sphere.get("radius", "nan")), 0.0))
+    return max(found, key=lambda fit: float(fit.center @ np.array(finger.axis)), default=None)
 
 
 def _points(root: Element, finger: FingerConfig, file: Path) -> Array:
     """Return points on the mesh of a tip link in its frame, shape (n, 3), m."""
-    links = {link.get("name"): link for link in root.findall("link")}
-    link = links.get(finger.tip)
-    shapes = [] if link is None else [*link.findall("visual"), *link.findall("collision")]
-    for shape in shapes:
+    link = f"link[@name='{finger.tip}']"
+    for shape in (*root.findall(f"{link}/visual"), *root.findall(f"{link}/collision")):
         mesh, origin = shape.find("geometry/mesh"), shape.find("origin")
         if mesh is None:
             continue
