@@ -6,6 +6,7 @@ from __future__ import annotations
 import math
 import typing
 from collections.abc import Mapping, Sequence
+from operator import attrgetter
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -99,16 +100,9 @@ def leaves(model: type[Config], prefix: str = "") -> dict[str, FieldInfo]:
     return found
 
 
-def flatten(config: Config, prefix: str = "") -> dict[str, Any]:
+def flatten(config: Config) -> dict[str, Any]:
     """Return the values of a configuration by dotted name; nested lists of models stay models."""
-    flat: dict[str, Any] = {}
-    for name in type(config).model_fields:
-        value = getattr(config, name)
-        if is_config(type(config).model_fields[name].annotation):
-            flat |= flatten(value, f"{prefix}{name}.")
-        else:
-            flat[prefix + name] = value
-    return flat
+    return {name: attrgetter(name)(config) for name in leaves(type(config))}
 
 
 def from_flat(model: type[C], values: Mapping[str, Any], source: str = "") -> C:
