@@ -58,15 +58,7 @@ def use_own_prefix() -> None:
     listed = [entry for entry in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if entry]
     if any((Path(entry) / _MARK).exists() for entry in listed):
         return
-    found = [str(prefix) for prefix in own_prefixes() if str(prefix) not in listed]
-    os.environ["AMENT_PREFIX_PATH"] = os.pathsep.join([*listed, *dict.fromkeys(found)])
-
-
-def own_prefixes() -> Iterator[Path]:
-    """Yield the prefixes of this package and of this interpreter that have an ament index."""
-    for folder in Path(__file__).resolve().parents:
-        if (folder / _MARK).exists():
-            yield folder
-            break
+    found = [folder for folder in Path(__file__).resolve().parents if (folder / _MARK).exists()][:1]
     if (Path(sys.prefix) / _INDEX).is_dir():
-        yield Path(sys.prefix)
+        found.append(Path(sys.prefix))
+    os.environ["AMENT_PREFIX_PATH"] = os.pathsep.join(dict.fromkeys([*listed, *map(str, found)]))
