@@ -42,6 +42,11 @@ class Turning(NamedTuple):
         return not (self.rate.any() or self.acceleration.any())
 
 
+def resting(rotation: Array) -> Turning:
+    """Return no motion, at a rotation of the palm in the world, shape (3, 3)."""
+    return Turning(rotation, np.zeros(3), np.zeros(3))
+
+
 def palm_turning(turns: Sequence[PalmTurn], time: float) -> Turning:
     """Return the motion of the palm at a time, s.
 
@@ -59,34 +64,23 @@ def palm_turning(turns: Sequence[PalmTurn], time: float) -> Turning:
             gain = 60.0 * x * (1.0 - x) * (1.0 - 2.0 * x) / lasts**2
             return Turning(at @ rotation_from_vector(s * way), rate * way, gain * way)
         at, start = goal, turn.time
-    return Turning(at, np.zeros(3), np.zeros(3))
+    return resting(at)
 
 
-class UserTurn:
-    """Rotation of the palm by a user who may want another orientation at any time.
+def turned_by_user(now: Turning, goal: Vector, h: float) -> Turning:
+    """Return the motion a time h, s, later, of a user who may want another orientation any time.
 
-    Attributes:
-        now: Rotation in the world, and its rates.
+    Towards a rotation vector, rad: critically damped, about one axis. With the way w that is left
+    and the angular velocity W, W' = k^2 w - 2 k W.
     """
-
-    def __init__(self) -> None:
-        """Start unturned and at rest."""
-        self.now = Turning(np.eye(3), np.zeros(3), np.zeros(3))
-
-    def step(self, goal: Vector, h: float) -> None:
-        """Move for a time h, s, towards a rotation vector, rad: critically damped, about one axis.
-
-        With the way w that is left and the angular velocity W, W' = k^2 w - 2 k W.
-        """
-        (rotation, rate, _), k = self.now, _QUICKNESS
-        wanted = rotation_from_vector(goal)
-        way = vector_from_rotation(rotation.T @ wanted)
-        if max(np.abs(way).max(), np.abs(rate).max()) < _REACHED:
-            self.now = Turning(wanted, np.zeros(3), np.zeros(3))
-            return
-        gain = k * k * way - 2.0 * k * rate
-        rate = rate + h * gain
-        self.now = Turning(rotation @ rotation_from_vector(h * rate), rate, gain)
+    (rotation, rate, _), k = now, _QUICKNESS
+    wanted = rotation_from_vector(goal)
+    way = vector_from_rotation(rotation.T @ wanted)
+    if max(np.abs(way).max(), np.abs(rate).max()) < _REACHED:
+        return resting(wanted)
+    gain = k * k * way - 2.0 * k * rate
+    rate = rate + h * gain
+    return Turning(rotation @ rotation_from_vector(h * rate), rate, gain)
 
 
 def turned_by(outer: Turning, inner: Turning) -> Turning:

@@ -37,10 +37,11 @@ from tactile_hand_ros.simulation.coulomb import RELAXED, UNSOLVED
 from tactile_hand_ros.simulation.joint_sensor import JointReading, JointSensor
 from tactile_hand_ros.simulation.palm_motion import (
     Turning,
-    UserTurn,
     apparent_wrench,
     palm_turning,
+    resting,
     turned_by,
+    turned_by_user,
 )
 from tactile_hand_ros.simulation.plant_config import PlantConfig, external_wrench
 from tactile_hand_ros.simulation.skin import TactileReading
@@ -184,7 +185,7 @@ class Plant:
         self.friction = np.full(self.hand.fingers, c.friction)
         self._torque = np.zeros(self.hand.joints)
         self.push(np.zeros(6), 0.0)
-        self._user_turn = UserTurn()
+        self._user_turn = resting(np.eye(3))
         self._turn_palm(0.0)
         self.relaxed_steps = self.unsolved_steps = 0
         self._slides = np.zeros(self.hand.joints)  # directions in which joints slide, 0 at rest
@@ -261,7 +262,7 @@ class Plant:
             self.friction[:] = self._changes.pop(0).friction
         now, m, middle = self._now, self.hand.joints, self.time + 0.5 * h
         if self.config.palm_motion:
-            self._user_turn.step(self.config.palm_turn, h)
+            self._user_turn = turned_by_user(self._user_turn, self.config.palm_turn, h)
         turning = self._turn_palm(middle)
         wrench, turns = self._weight, None
         if turning is not None and not turning.rests:
@@ -357,12 +358,7 @@ class Plant:
         return turning
 
     def _turning(self, time: float) -> Turning:
-        return turned_by(self._user_turn.now, palm_turning(self.config.palm_motion, time))
-
-    @property
-    def _palm(self) -> Array | None:
-        turns = self.config.palm_motion
-        return quaternion_from_rotation(self._turning(self.time).rotation) if turns else None
+        return turned_by(self._user_turn, palm_turning(self.config.palm_motion, time))
 
     @property
     def state(self) -> PlantState:
@@ -370,7 +366,9 @@ class Plant:
         now, m = self._now, self.hand.joints
         tips = self.hand.tip_positions(now.theta)
         points, frames, gaps, impulses = observed(self._world, now, tips)
-        forces = impulses[:, :3] / self.config.time_step
+        forces, palm = impulses[:, :3] / self.config.time_step, None
+        if self.config.palm_motion:
+            palm = quaternion_from_rotation(self._turning(self.time).rotation)
         return PlantState(
             now.theta,
             now.velocities[:m],
@@ -387,7 +385,7 @@ class Plant:
             gaps,
             TactileReading(points, quaternions_of_rows(frames.reshape(-1, 9)), forces),
             np.hypot(now.sliding[:, 0], now.sliding[:, 1]),
-            self._palm,
+            palm,
         )
 
     @property

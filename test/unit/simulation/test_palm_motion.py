@@ -14,10 +14,11 @@ from tactile_hand_ros.scenario.scenario import load_scenario
 from tactile_hand_ros.simulation.palm_motion import (
     PalmTurn,
     Turning,
-    UserTurn,
     apparent_wrench,
     palm_turning,
+    resting,
     turned_by,
+    turned_by_user,
 )
 from tactile_hand_ros.simulation.plant import Plant
 
@@ -35,13 +36,17 @@ def test_the_palm_is_where_it_should_be_and_rests_there():
         assert_allclose([rate, gain], 0.0, atol=1e-12)
 
 
-@pytest.mark.parametrize("time", [0.1, 0.37, 1.0, 1.9, 2.4])
-def test_rate_and_acceleration_are_the_derivatives_of_the_way(time):
-    h = 1e-5
-    before, at, after = (palm_turning(TURNS, time + sign * h) for sign in (-1.0, 0.0, 1.0))
+def check_rates(before, at, after, h):
+    """Check the rates of a motion against those a time h earlier and later."""
     spin = at.rotation.T @ (after.rotation - before.rotation) / (2.0 * h)
     assert_allclose([spin[2, 1], spin[0, 2], spin[1, 0]], at.rate, atol=1e-7)
     assert_allclose((after.rate - before.rate) / (2.0 * h), at.acceleration, atol=1e-6)
+
+
+@pytest.mark.parametrize("time", [0.1, 0.37, 1.0, 1.9, 2.4])
+def test_rate_and_acceleration_are_the_derivatives_of_the_way(time):
+    h = 1e-5
+    check_rates(*(palm_turning(TURNS, time + sign * h) for sign in (-1.0, 0.0, 1.0)), h)
 
 
 def test_a_free_body_moves_straight_and_keeps_its_angular_momentum_in_the_world():
@@ -106,22 +111,16 @@ def test_turns_in_no_order_are_refused():
 
 
 def test_a_user_turns_the_palm_on_top_of_its_motion_with_the_right_rates():
-    user, h = UserTurn(), 1e-5
+    now, h = resting(np.eye(3)), 1e-5
     for _ in range(30_000):
-        user.step((0.5, 1.0, -0.2), h)
+        now = turned_by_user(now, (0.5, 1.0, -0.2), h)
     reached = []
     for sign in (-1.0, 0.0, 1.0):
-        turn = sign * h * (user.now.rate + 0.5 * sign * h * user.now.acceleration)
-        moved = Turning(
-            user.now.rotation @ rotation_from_vector(turn),
-            user.now.rate + sign * h * user.now.acceleration,
-            user.now.acceleration,
-        )
+        turn = sign * h * (now.rate + 0.5 * sign * h * now.acceleration)
+        rate = now.rate + sign * h * now.acceleration
+        moved = Turning(now.rotation @ rotation_from_vector(turn), rate, now.acceleration)
         reached.append(turned_by(moved, palm_turning(TURNS, 0.3 + sign * h)))
-    before, at, after = reached
-    spin = at.rotation.T @ (after.rotation - before.rotation) / (2.0 * h)
-    assert_allclose([spin[2, 1], spin[0, 2], spin[1, 0]], at.rate, atol=1e-7)
-    assert_allclose((after.rate - before.rate) / (2.0 * h), at.acceleration, atol=1e-6)
+    check_rates(*reached, h)
 
 
 def test_a_palm_follows_a_user_within_a_second_and_its_hand_knows():
