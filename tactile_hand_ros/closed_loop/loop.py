@@ -21,7 +21,6 @@ from tactile_hand_ros.control.controller import Command, Controller
 from tactile_hand_ros.control.optimizer.force_optimizer import ForceOptimizer, OptimalForces
 from tactile_hand_ros.control.slip.regulator import SlipRegulator
 from tactile_hand_ros.errors import DivergedError
-from tactile_hand_ros.hand.hand import Hand
 from tactile_hand_ros.rotations import quaternion_from_rotation
 from tactile_hand_ros.scenario.preflight import check_scenario
 from tactile_hand_ros.scenario.scenario import Scenario
@@ -94,16 +93,6 @@ class SensingChain(Chain):
         return touch, self.answer(stamp, *state.joints, touch.contacts, touch.forces)
 
 
-def sensing_chain(scenario: Scenario, hand: Hand) -> SensingChain:
-    """Build the blocks of a scenario for the nominal hand of its controllers."""
-    return SensingChain(
-        SlipRegulator(scenario.slip_regulator, hand.fingers),
-        ForceOptimizer(scenario.force_optimizer, hand.fingers),
-        Controller(scenario.manipulation_controller),
-        TactileSensor(scenario.tactile_sensor, hand.radii, hand),
-    )
-
-
 class ClosedLoop:
     """Plant, sensor, regulator, optimizer and controller of one scenario.
 
@@ -128,7 +117,13 @@ class ClosedLoop:
         check_scenario(scenario)
         self.scenario = scenario
         self.plant = make_plant(scenario.plant)
-        self.chain = sensing_chain(scenario, self.plant.model)
+        hand = self.plant.model  # the nominal one, which the controllers know
+        self.chain = SensingChain(
+            SlipRegulator(scenario.slip_regulator, hand.fingers),
+            ForceOptimizer(scenario.force_optimizer, hand.fingers),
+            Controller(scenario.manipulation_controller),
+            TactileSensor(scenario.tactile_sensor, hand.radii, hand),
+        )
         self.state = self.plant.state
         self.stamp = 0
         self._requests = sorted(scenario.user_forces, key=lambda request: request.time)

@@ -210,7 +210,9 @@ class _Problem:
         self._half, self._shape = 0.5 * np.array(body.size), body.solid().shape
         self._sides = np.where(np.arange(hand.fingers) == alone, -1.0, 1.0)  # of the box
         self._others = self._sides > 0.0
-        self._across = [i for i in range(3) if i != axis]
+        # Axes that end in edges: of a cylinder its own, of other round bodies none.
+        sideways = [i for i in range(3) if i != axis]
+        self._across = {"box": sideways, "cylinder": [2]}.get(body.shape, [])
         self._edges = self._half[self._across]
         self._pairs = list(itertools.combinations(range(hand.fingers), 2))
         lower, upper = (np.clip(limit, -np.pi, np.pi) for limit in hand.position_limits)
@@ -341,11 +343,6 @@ class _Problem:
 
 class _RoundProblem(_Problem):
     """The same for a round body, whose contacts may be anywhere on its side."""
-
-    def __init__(self, hand: Hand, body: ObjectConfig, alone: int, axis: int) -> None:
-        super().__init__(hand, body, alone, axis)
-        self._across = [2] if body.shape == "cylinder" else []  # the others have no edges
-        self._edges = self._half[self._across]
 
     def _touched(self, tips: Array) -> tuple[Array, Array]:
         found = [closest_point(self._shape, tip) for tip in tips]
