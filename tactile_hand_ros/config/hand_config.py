@@ -157,11 +157,6 @@ class HandConfig(Config):
         """Names of the fingers, in order."""
         return [finger.name for finger in self.fingers]
 
-    @property
-    def radii(self) -> list[float]:
-        """Radii of the fingertips in m, in the order of the fingers."""
-        return [finger.radius for finger in self.fingers]
-
     def layout(self, name: str = "") -> dict[str, MountConfig]:
         """Return the placements of a layout, by default of the hand's default layout.
 

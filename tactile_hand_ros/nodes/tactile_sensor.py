@@ -59,7 +59,7 @@ class TactileSensorNode(TactileNode[TactileSensorConfig]):
             streams.true_sliding(fingers),
             streams.true_forces(fingers),
         )
-        known, radii = None, np.array(hand.radii)
+        known, radii = None, np.array([finger.radius for finger in hand.fingers])
         if not (self.config.calibration.is_right and radii.all()):
             # Only a miscalibrated skin or fitted tips need the hand model, which is slow to load.
             from tactile_hand_ros.hand.hand import Hand
