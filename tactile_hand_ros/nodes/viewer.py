@@ -8,9 +8,8 @@ are no transforms; the markers need none.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
-from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -91,7 +90,7 @@ class ViewerNode(TactileNode[ViewerConfig]):
         """
         super().__init__("viewer", ViewerConfig, **kwargs)
         self._fingers = load_hand_config(self.config.hand).finger_names
-        self._corners = _corners_of(self.config.object)
+        self._corners = self.config.object.solid().triangles().reshape(-1, 3)
         namespace = self.get_namespace().strip("/")
         self._prefix = f"{namespace}/" if namespace else ""
         self._taken: dict[str, Any] = {}
@@ -203,7 +202,7 @@ def contact_markers(contacts: Sequence[Frame | None], forces: Array) -> list[Mar
     return made
 
 
-def _body(corners: Sequence[Array]) -> Marker:
+def _body(corners: Array) -> Marker:
     marker = _marker("object", 0, Marker.ADD, Marker.TRIANGLE_LIST)
     marker.points = _points(corners)
     marker.scale.x = marker.scale.y = marker.scale.z = 1.0
@@ -237,19 +236,8 @@ def _place(at: Any, turn: Any, frame: Frame) -> None:
     turn.x, turn.y, turn.z, turn.w = map(float, frame.quaternion)
 
 
-def _points(corners: Sequence[Array]) -> list[Point]:
+def _points(corners: Iterable[Array]) -> list[Point]:
     return [Point(x=float(x), y=float(y), z=float(z)) for x, y, z in corners]
-
-
-def _corners_of(config: ObjectConfig) -> list[Array]:
-    """Return the corners of the object's faces as triangles, in its own frame [m]."""
-    solid = config.solid()
-    return [
-        solid.vertices[index]
-        for face in solid.face_corners
-        for pair in pairwise(face[1:])
-        for index in (face[0], *pair)
-    ]
 
 
 def main(args: Sequence[str] | None = None) -> int:

@@ -3,8 +3,6 @@
 
 from __future__ import annotations
 
-import itertools
-
 import coal
 import pinocchio as pin
 
@@ -67,9 +65,7 @@ def _surface(solid: Solid) -> coal.CollisionGeometry:
     """Return the surface of a solid as triangles."""
     surface = coal.BVHModelOBBRSS()
     surface.beginModel(len(solid.vertices), len(solid.vertices))
-    for corners in solid.face_corners:
-        a, *others = (solid.vertices[corner] for corner in corners)
-        for b, c in itertools.pairwise(others):
-            surface.addTriangle(a, b, c)
+    for corners in solid.triangles():
+        surface.addTriangle(*corners)
     surface.endModel()
     return surface

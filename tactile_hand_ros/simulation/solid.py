@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -207,6 +208,11 @@ class Solid:
         solid.excess = hull.volume / mesh.volume - 1.0
         return solid
 
+    def triangles(self) -> Array:
+        """Return the corners of triangles that make up the surface, shape (t, 3, 3), m."""
+        faces = self.face_corners
+        return self.vertices[[(a, *pair) for a, *rest in faces for pair in pairwise(rest)]]
+
     def gyration(self) -> Array:
         """Return the inertia of the uniform body per mass about the origin, shape (3, 3), m^2.
 
@@ -219,13 +225,11 @@ class Solid:
         if self._gyration is not None:
             return self._gyration
         volume, center, moment = 0.0, np.zeros(3), np.zeros((3, 3))
-        for corners in self.face_corners:
-            for i in range(1, len(corners) - 1):
-                abc = self.vertices[corners[[0, i, i + 1]]]
-                part, s = np.linalg.det(abc) / 6.0, abc.sum(axis=0)
-                volume += part
-                center += part * s / 4.0
-                moment += part * (abc.T @ abc + np.outer(s, s)) / 20.0
+        for abc in self.triangles():
+            part, s = np.linalg.det(abc) / 6.0, abc.sum(axis=0)
+            volume += part
+            center += part * s / 4.0
+            moment += part * (abc.T @ abc + np.outer(s, s)) / 20.0
         center, moment = center / volume, moment / volume
         if np.abs(center).max() > _CENTERED * np.abs(self.vertices).max():
             x, y, z = center
