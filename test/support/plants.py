@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Plants to test with, and torques that produce given contact forces."""
 
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -35,6 +36,19 @@ def torque_for(plant: Plant, forces: Array, damping: float = 0.0) -> Array:
     state = plant.state
     weight = plant.hand.gravity_torque(state.theta)
     return jacobian(plant, state).T @ np.ravel(forces) + weight - damping * state.rates
+
+
+def holding(plant: Plant, forces: Array) -> Iterator[PlantState]:
+    """Yield the states from tick to tick while a posture is held stiffly around given forces.
+
+    Args:
+        plant: Hand and object.
+        forces: Fingertip forces, shape (k, 3), palm axes.
+    """
+    posture, torque = plant.state.theta, torque_for(plant, forces)
+    while True:
+        now = plant.state
+        yield plant.advance(torque + 200.0 * (posture - now.theta) - 4.0 * now.rates)
 
 
 def squeeze(state: PlantState, size: float) -> Array:

@@ -6,7 +6,7 @@ import sys
 import numpy as np
 import pytest
 from support.hands import prism_grasp, write_hand
-from support.plants import forces_in_palm, plant, squeeze, torque_for
+from support.plants import forces_in_palm, holding, plant, squeeze, torque_for
 
 from tactile_hand_ros.errors import DivergedError
 from tactile_hand_ros.extras import MissingLibraryError
@@ -29,13 +29,7 @@ def held(friction, **values):
     """Return a function that advances a block that stiff joints hold with 10 N by a tick."""
     body = {"layout": "pinch", "object__mass": 0.2, "object__friction": friction}
     world = plant(engine="mujoco", **body, **values)
-    start, torque = world.state.theta, torque_for(world, squeeze(world.state, 10.0))
-
-    def advance():
-        now = world.state
-        return world.advance(torque - 200.0 * (now.theta - start) - 4.0 * now.rates)
-
-    return advance
+    return holding(world, squeeze(world.state, 10.0)).__next__
 
 
 @pytest.mark.parametrize("more", [{}, {"palm_motion": TURNS}, {"calibration.link_lengths": 1.2}])

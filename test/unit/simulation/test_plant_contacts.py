@@ -1,11 +1,22 @@
 # SPDX-License-Identifier: Apache-2.0
 """The plant in contact: balance of momentum, stick, slip, lift-off, rolling, equilibrium."""
 
+from itertools import islice
+
 import numpy as np
 import pytest
 from support.equations import grasp_map
 from support.hands import tip_rotations
-from support.plants import energy_of, forces_in_palm, jacobian, momentum, plant, squeeze, torque_for
+from support.plants import (
+    energy_of,
+    forces_in_palm,
+    holding,
+    jacobian,
+    momentum,
+    plant,
+    squeeze,
+    torque_for,
+)
 
 from tactile_hand_ros.simulation.plant_config import Disturbance
 
@@ -14,25 +25,6 @@ HEAVY = {"object__mass": 0.2, "layout": "pinch"}
 
 def step_force(*force, start=0.0):
     return [Disturbance(kind="step", start=start, force=force)]
-
-
-class Holder:
-    """Holds the posture stiffly around torques that produce chosen contact forces."""
-
-    def __init__(self, world, forces, stiffness=200.0, damping=4.0):
-        self.world, self.stiffness, self.damping = world, stiffness, damping
-        self.posture = world.state.theta
-        self.torque = torque_for(world, forces)
-
-    def run(self, seconds):
-        """Return the states of all ticks."""
-        states = []
-        state = self.world.state
-        for _ in range(round(seconds * self.world.config.rate)):
-            spring = self.stiffness * (self.posture - state.theta) - self.damping * state.rates
-            state = self.world.advance(self.torque + spring)
-            states.append(state)
-        return states
 
 
 def shaken(seed, ticks=200, **values):
@@ -137,7 +129,7 @@ def test_nothing_creeps_under_a_load_inside_the_cone():
     """Three seconds at nine tenths of the friction limit: not a nanometer."""
     world = plant(object__friction=0.5, disturbances=step_force(0.0, 0.0, -4.5), **HEAVY)
     forces = squeeze(world.state, 10.0) + np.outer([0.25, 0.25, 0.5], [0.0, 0.0, 4.5])
-    states = Holder(world, forces).run(3.0)
+    states = list(islice(holding(world, forces), 3000))
     moved = [np.abs(s.position - [0.0, 0.0, 0.4098]).max() for s in states]
     assert max(moved) < 1e-9
     last = states[-1]
@@ -150,7 +142,7 @@ def test_a_load_beyond_the_cone_slides_at_the_limit():
     """Six newtons against a friction of five: the rest accelerates the object; the tips rest."""
     world = plant(object__friction=0.5, disturbances=step_force(0.0, 0.0, -6.0), **HEAVY)
     forces = squeeze(world.state, 10.0) + np.outer([0.25, 0.25, 0.5], [0.0, 0.0, 5.0])
-    states = Holder(world, forces).run(0.1)
+    states = list(islice(holding(world, forces), 100))
     for state in states[5:]:
         assert (state.sliding[:, 1] < 0.0).all()  # z of the frames is palm z: it slides down
         np.testing.assert_allclose(state.forces[:, 2], 0.5 * state.forces[:, 1], rtol=1e-6)

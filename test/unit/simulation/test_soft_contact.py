@@ -1,9 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Soft fingertips: indentation under a force, and a moment about the normal up to a limit."""
 
+from itertools import islice
+
 import numpy as np
 import pytest
-from support.plants import plant, squeeze, torque_for
+from support.plants import holding, plant, squeeze, torque_for
 
 from tactile_hand_ros.simulation.contact_step import velocity_map
 from tactile_hand_ros.simulation.plant_config import Disturbance
@@ -12,17 +14,14 @@ OPPOSED = {"object__size": (0.2604, 0.24, 0.2604), "object__mass": 0.2}  # finge
 PUSHES = np.array([[-3.0, 0.4, 0.3], [3.0, 0.4, 0.3], [0.0, -0.6, 0.3]])
 
 
-def held(world, forces, seconds):
-    """Return the state after a posture was held stiffly around given forces, (k, 3), palm axes."""
-    torque, posture, state = torque_for(world, forces), world.state.theta, world.state
-    for _ in range(round(seconds * world.config.rate)):
-        state = world.advance(torque + 200.0 * (posture - state.theta) - 4.0 * state.rates)
-    return state
+def held(world, forces, ticks):
+    """Return the state after a posture was held for some ticks; see `holding`."""
+    return next(islice(holding(world, forces), ticks - 1, None))
 
 
 def test_at_rest_a_soft_tip_is_indented_by_compliance_times_force():
     world = plant(layout="pinch", object__mass=0.2, contact__compliance=1e-4)
-    state = held(world, squeeze(world.state, 10.0), 2.0)
+    state = held(world, squeeze(world.state, 10.0), 2000)
     assert state.forces[:, 1].min() > 1.0 and state.forces[2, 1] > 1.5 * state.forces[0, 1]
     np.testing.assert_allclose(state.gaps, -1e-4 * state.forces[:, 1], atol=1e-9)
 
@@ -57,7 +56,7 @@ def twisted(moment, load, torsion):
     world = plant(**OPPOSED, **values)
     forces = np.zeros((3, 3))
     forces[:2] = 8.0 * world.state.contacts.normals[:2] + [0.0, 0.0, 0.5 * load]
-    state = held(world, forces, 0.2)
+    state = held(world, forces, 200)
     return world, state, world.body_inertia[3, 3] * state.spin[0]
 
 
@@ -89,7 +88,7 @@ def test_a_soft_tip_shears_and_does_not_slide_until_coulombs_limit():
         tips, turns = hand.tip_positions(start.theta), hand.tip_rotations(start.theta)
         forces = np.zeros((3, 3))
         forces[:2] = 8.0 * start.contacts.normals[:2]
-        state = held(world, forces, 1.0)
+        state = held(world, forces, 1000)
         turned = hand.tip_rotations(state.theta) @ np.swapaxes(turns, 1, 2)
         arms = (start.contacts.positions - tips)[:, :, None]
         carried = hand.tip_positions(state.theta) + (turned @ arms - arms)[:, :, 0] - tips
