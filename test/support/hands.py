@@ -109,6 +109,18 @@ def write_hand(
     return path
 
 
+def changed(path: Path, *replaced: tuple[str, str], **more: Any) -> Hand:
+    """Replace texts, each once, in the URDF of `write_hand`, and add keys to its YAML file."""
+    urdf = path.parent / "hand.urdf"
+    text = urdf.read_text()
+    for old, new in replaced:
+        assert old in text
+        text = text.replace(old, new, 1)
+    urdf.write_text(text)
+    path.write_text(yaml.safe_dump({**yaml.safe_load(path.read_text()), **more}))
+    return Hand.load(str(path))
+
+
 def posture_for(hand: Hand, tips: Array) -> Array:
     """Return joint angles that bring the tips of a `write_hand` hand to `tips`, shape (k, 3), m."""
     counts = Counter(name.split("_")[0] for name in hand.joint_names)

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 import yaml
 from numpy.testing import assert_allclose, assert_array_equal
-from support.hands import kinetic_energy, potential_energy, prism_grasp, write_hand
+from support.hands import changed, kinetic_energy, potential_energy, prism_grasp, write_hand
 
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
 from tactile_hand_ros.errors import HandModelError
@@ -17,18 +17,6 @@ COUPLED = {
     "f1_joint_4": {"joint": "f1_joint_3", "ratio": 0.7, "offset": 0.1},
     "f3_joint_2": {"joint": "f3_joint_1", "ratio": -1.5},
 }
-
-
-def changed(path, *replaced, **more):
-    """Replace texts in the URDF of a hand, and add keys to its YAML file."""
-    urdf = path.parent / "hand.urdf"
-    text = urdf.read_text()
-    for old, new in replaced:
-        assert old in text
-        text = text.replace(old, new, 1)
-    urdf.write_text(text)
-    path.write_text(yaml.safe_dump({**yaml.safe_load(path.read_text()), **more}))
-    return Hand.load(str(path))
 
 
 def joint(name, parent, child, kind="revolute", inside=""):

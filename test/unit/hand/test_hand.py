@@ -3,7 +3,7 @@
 
 import numpy as np
 import pytest
-from support.hands import kinetic_energy, potential_energy, tip_rotations, write_hand
+from support.hands import changed, kinetic_energy, potential_energy, tip_rotations, write_hand
 
 from tactile_hand_ros.errors import ConfigurationError, HandModelError
 from tactile_hand_ros.hand.hand import Hand
@@ -153,10 +153,8 @@ def test_a_broken_hand_is_explained(tmp_path, file, old, new, message):
 
 
 def test_an_inertia_that_no_body_has_is_kept_where_the_hand_says_so(tmp_path):
-    path = edited(tmp_path, " ixx=", ' ixx="1" x=')
-    text = (tmp_path / "hand.yaml").read_text()
-    (tmp_path / "hand.yaml").write_text(text + "any_inertia: true\n")
-    assert Hand.load(path).joints == 9
+    path = write_hand(tmp_path, [3, 3, 3])
+    assert changed(path, (" ixx=", ' ixx="1" x='), any_inertia=True).joints == 9
 
 
 def test_angles_that_look_like_degrees_are_questioned(tmp_path):
@@ -176,29 +174,20 @@ def test_joints_may_be_named_like_the_palm_or_a_tip(tmp_path):
 
 def test_a_layout_without_an_origin_in_the_urdf_is_applied(tmp_path):
     """A fixed joint without <origin> is at the origin until a layout moves it."""
-    path = write_hand(tmp_path, [3, 3, 3])
-    urdf = tmp_path / "hand.urdf"
-    text = urdf.read_text().replace('<origin xyz="0.3 0.0 0" rpy="0 0 0.0"/>', "")
-    assert text != urdf.read_text()
-    urdf.write_text(text)
-    path.write_text(path.read_text() + "layouts: {up: {f1_mount: {xyz: [0, 0, 1]}}}\n")
-    raised = Hand.load(str(path), "up").fingertips(np.zeros(9)).positions[0]
-    plain = Hand.load(str(path)).fingertips(np.zeros(9)).positions[0]
-    np.testing.assert_allclose(raised - plain, [0.0, 0.0, 1.0], atol=1e-12)
+    path, up = write_hand(tmp_path, [3, 3, 3]), {"f1_mount": {"xyz": [0, 0, 1]}}
+    plain = changed(path, ('<origin xyz="0.3 0.0 0" rpy="0 0 0.0"/>', ""), layouts={"up": up})
+    tips = [hand.tip_positions(np.zeros(9))[0] for hand in (Hand.load(str(path), "up"), plain)]
+    np.testing.assert_allclose(tips[0] - tips[1], [0.0, 0.0, 1.0], atol=1e-12)
 
 
 def test_a_speed_without_a_limit_is_unlimited(tmp_path):
     path = write_hand(tmp_path, [3, 3, 3])
-    urdf = tmp_path / "hand.urdf"
-    text = urdf.read_text()
-    speed = text.split('velocity="')[1].split('"')[0]
     hand = Hand.load(str(path))
-    np.testing.assert_array_equal(hand.velocity_limits, np.full(9, float(speed)))
+    np.testing.assert_array_equal(hand.velocity_limits, np.full(9, 20.0))
     np.testing.assert_array_equal(hand.effort_limits, np.full(9, 30.0))
     np.testing.assert_array_equal(hand.position_limits, [[-3.0] * 9, [3.0] * 9])
-    urdf.write_text(text.replace(f'velocity="{speed}"', 'velocity="0"', 1))
-    limits = Hand.load(str(path)).velocity_limits
-    assert np.isinf(limits[0]) and (limits[1:] == float(speed)).all()
+    limits = changed(path, ('velocity="20"', 'velocity="0"')).velocity_limits
+    assert np.isinf(limits[0]) and (limits[1:] == 20.0).all()
 
 
 def test_tips_frames_and_dynamics_agree_however_they_are_asked_for(mixed):
@@ -263,14 +252,10 @@ def test_weights_and_tips_are_those_of_the_posture_that_is_asked_for(mixed):
 
 def test_a_joint_that_slides_makes_its_finger_longer_by_its_own_way(tmp_path):
     path = write_hand(tmp_path, [3, 3, 3])
-    urdf, (name, end) = tmp_path / "hand.urdf", ('<joint name="f2_joint_3"', "</joint>")
-    plain, text = Hand.load(str(path)), urdf.read_text()
-    head, _, rest = text.partition(name)
-    joint, _, tail = rest.partition(end)
-    joint = joint.replace("revolute", "prismatic").replace('lower="-3"', 'lower="-0.4"')
-    urdf.write_text(head + name + joint.replace('upper="3"', 'upper="0.1"') + end + tail)
-    added = Hand.load(str(path)).spans - plain.spans
-    np.testing.assert_allclose(added, [0.0, 0.4, 0.0], atol=1e-12)
+    plain, joint = Hand.load(str(path)), 'name="f2_joint_3" type="{}"'.format
+    limits = {"f2_joint_3": {"lower": -0.4, "upper": 0.1}}
+    longer = changed(path, (joint("revolute"), joint("prismatic")), limits=limits)
+    np.testing.assert_allclose(longer.spans - plain.spans, [0.0, 0.4, 0.0], atol=1e-12)
 
 
 def test_links_and_tips_of_other_sizes_swing_with_longer_levers(tmp_path):

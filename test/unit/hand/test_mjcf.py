@@ -5,9 +5,8 @@ import mujoco
 import numpy as np
 import pytest
 import trimesh
-import yaml
 from numpy.testing import assert_allclose
-from support.hands import write_hand
+from support.hands import changed, write_hand
 
 from tactile_hand_ros.errors import HandModelError
 from tactile_hand_ros.hand.hand import Hand
@@ -106,17 +105,14 @@ def test_a_mesh_without_a_round_end_is_named(tmp_path):
     ball = trimesh.creation.icosphere(radius=0.02)
     bowl = ball.faces[ball.triangles[:, :, 2].max(axis=1) < 1e-3]
     trimesh.Trimesh(ball.vertices, bowl).export(tmp_path / "tip.stl")
-    path, urdf = write_hand(tmp_path, [3, 3, 3]), tmp_path / "hand.urdf"
     visual = '<visual><geometry><mesh filename="tip.stl"/></geometry></visual>'
-    urdf.write_text(urdf.read_text().replace(
-        '<link name="f2_tip"/>', f'<link name="f2_tip">{visual}</link>'))  # fmt: skip
+    link = '<link name="f2_tip"/>', f'<link name="f2_tip">{visual}</link>'
     fingers = [{"name": f"f{i}", "tip": f"f{i}_tip", "radius": 0.02} for i in (1, 2, 3)]
     fingers[1] = {"name": "f2", "tip": "f2_tip", "axis": [0.0, 0.0, 1.0]}
-    path.write_text(yaml.safe_dump({"urdf": "hand.urdf", "fingers": fingers}))
     with pytest.raises(
         HandModelError, match="'f2': no sphere fits the end of the mesh of 'f2_tip'"
     ):
-        Hand.load(str(path))
+        changed(write_hand(tmp_path, [3, 3, 3]), link, fingers=fingers)
 
 
 def test_broken_mjcf_is_an_error_with_its_reason(tmp_path):
@@ -138,15 +134,14 @@ def test_a_sphere_is_fitted_to_the_end_of_a_mesh(tmp_path):
     body.export(tmp_path / "tip.stl")
     (tmp_path / "given").mkdir()
     path = write_hand(tmp_path, [3, 3, 3])
-    urdf, text = tmp_path / "hand.urdf", path.read_text()
+    text = path.read_text()
     visual = (
         '<visual><origin xyz="0.01 0 0" rpy="0 1.5707963 0"/><geometry>'
         '<mesh filename="package://any/tip.stl"/></geometry></visual>'
     )
-    urdf.write_text(urdf.read_text().replace(
-        '<link name="f1_tip"/>', f'<link name="f1_tip">{visual}</link>'))  # fmt: skip
     path.write_text(text.replace("radius: 0.02", "radius: 0.0", 1))
-    hand, given = Hand.load(str(path)), Hand.load(str(write_hand(tmp_path / "given", [3, 3, 3])))
+    hand = changed(path, ('<link name="f1_tip"/>', f'<link name="f1_tip">{visual}</link>'))
+    given = Hand.load(str(write_hand(tmp_path / "given", [3, 3, 3])))
     assert hand.radii[0] == pytest.approx(0.008, rel=0.01) and 0.0 < hand.tip_errors[0] < 1e-4
     assert hand.radii[1] == 0.02 and hand.tip_errors[1] == 0.0
     theta = np.linspace(0.1, 0.9, 9)

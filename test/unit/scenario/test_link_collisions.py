@@ -2,7 +2,7 @@
 """Palm and links of a hand against an object; fingertips may touch it."""
 
 import numpy as np
-from support.hands import write_hand
+from support.hands import changed, write_hand
 
 from tactile_hand_ros.hand.hand import Hand
 from tactile_hand_ros.scenario.link_collisions import LinkCollisions
@@ -10,13 +10,10 @@ from tactile_hand_ros.simulation.solid import Solid
 
 
 def test_links_inside_the_object_are_named_and_tips_are_not(tmp_path):
-    path = write_hand(tmp_path, [3, 3, 3])
     box = '<collision><geometry><box size="0.02 0.02 0.02"/></geometry></collision></link>'
-    urdf = (tmp_path / "hand.urdf").read_text()
-    urdf = urdf.replace('<link name="f2_base"/>', f'<link name="f2_base">{box}')
-    urdf = urdf.replace('<link name="f1_tip"/>', f'<link name="f1_tip">{box}')
-    (tmp_path / "hand.urdf").write_text(urdf)
-    hand, theta, level = Hand.load(str(path)), np.full(9, 0.4), np.eye(3)
+    shapes = [(f'<link name="{n}"/>', f'<link name="{n}">{box}') for n in ("f2_base", "f1_tip")]
+    hand = changed(write_hand(tmp_path, [3, 3, 3]), *shapes)
+    theta, level = np.full(9, 0.4), np.eye(3)
     links = LinkCollisions(hand, Solid.box(np.array([0.1, 0.04, 0.04])))
     base, tip = hand.bases[1], hand.tip_positions(theta)[0]
     # The two overlap along x; turned by 90 degrees, the long box is too short.
