@@ -272,8 +272,10 @@ def _measured(
     """
     c = config[0]
     positions, quaternions, measured = positions.copy(), quaternions.copy(), forces.copy()
+    gain, limit = c["vibration.gain"], c["vibration.limit"]
     for i in range(len(radii)):
-        measured[i] += _vibration(c, sliding[i]) * noise[1, i]
+        rms = limit * (1.0 - math.exp(-gain / limit * sliding[i]))
+        measured[i] += rms * noise[1, i]
     is_displaced = c["location_noise"] > 0.0 or c["location_resolution"] > 0.0
     if is_displaced or c["bandwidth"] > 0.0 or c["bias_drift"] > 0.0:
         # In one frame, since the reported contact frame moves.
@@ -307,13 +309,6 @@ def _follow(memory: Rows, c: Row, forces: Array, white: Array, elapsed: float) -
             forces[i] = before + fraction * (forces[i] - before)
         before[:] = forces[i]
         forces[i] += bias
-
-
-@compiled
-def _vibration(c: Row, speed: float) -> float:
-    """Return the rms force of a contact that slides at a speed in m/s."""
-    gain, limit = c["vibration.gain"], c["vibration.limit"]
-    return limit * (1.0 - math.exp(-gain / limit * speed)) if gain > 0.0 else 0.0
 
 
 @compiled
