@@ -4,12 +4,12 @@
 import numpy as np
 import pytest
 
-from tactile_hand_ros.closed_loop.loop import ClosedLoop
+from tactile_hand_ros.closed_loop.loop import Chain, ClosedLoop
+from tactile_hand_ros.control.contact import Contacts
 from tactile_hand_ros.control.controller import Controller
 from tactile_hand_ros.control.optimizer.force_optimizer import ForceOptimizer
 from tactile_hand_ros.control.slip.regulator import SlipRegulator
 from tactile_hand_ros.scenario.scenario import load_scenario
-from tactile_hand_ros.simulation.skin import TactileReading
 
 # Properties of the object that touch cannot measure.
 HIDDEN = {
@@ -24,23 +24,17 @@ HIDDEN = {
 
 def replay(scenario, seen):
     """Return the torques of the controller blocks for recorded joints and touch."""
-    regulator = SlipRegulator(scenario.slip_regulator, 3)
-    optimizer = ForceOptimizer(scenario.force_optimizer, 3)
-    controller = Controller(scenario.manipulation_controller)
+    chain = Chain(
+        SlipRegulator(scenario.slip_regulator, 3),
+        ForceOptimizer(scenario.force_optimizer, 3),
+        Controller(scenario.manipulation_controller),
+    )
     for wish in scenario.targets:
-        controller.command(wish.target(), wish.stamp)
-    torques = []
-    for i, stamp in enumerate(seen.stamps):
-        touch = TactileReading(
-            seen.contact_positions[i], seen.contact_quaternions[i], seen.forces[i]
-        )
-        k_f = regulator.step(int(stamp), touch.contacts, touch.forces)
-        optimal = optimizer.solve(touch.contacts).forces
-        command = controller.step(
-            int(stamp), seen.theta[i], seen.rates[i], touch.contacts, optimal, k_f, touch.forces
-        )
-        torques.append(command.torque)
-    return np.array(torques)
+        chain.controller.command(wish.target(), wish.stamp)
+    contacts = map(Contacts.from_poses, seen.contact_positions, seen.contact_quaternions)
+    joints = seen.theta, seen.rates, seen.torque
+    ticks = zip(seen.stamps.tolist(), *joints, contacts, seen.forces, strict=True)
+    return np.array([chain.answer(*tick).command.torque for tick in ticks])
 
 
 @pytest.fixture(scope="module")
