@@ -169,20 +169,6 @@ def test_distance_and_normal_of_random_polyhedra(random, corners, direction, how
     np.testing.assert_allclose(point - distance * normal, expected, atol=1e-6)
 
 
-@settings(max_examples=60)
-@given(random_numbers, normals)
-def test_box_against_clipping(random, direction):
-    """The nearest point of a box is the point clipped to it."""
-    half = random.uniform(0.02, 0.3, 3)
-    point = direction * random.uniform(0.1, 1.0) + half * random.uniform(-1.0, 1.0, 3)
-    clipped = np.clip(point, -half, half)
-    if (clipped == point).all():
-        return
-    distance, normal = closest_point(Solid.box(2.0 * half).shape, point)
-    assert distance == pytest.approx(np.linalg.norm(point - clipped), abs=1e-12)
-    np.testing.assert_allclose(normal, (point - clipped) / distance, atol=1e-9)
-
-
 ROUND = [("cylinder", 0.06, 0.1), ("cylinder", 0.1, 0.03), ("sphere", 0.08, 0.08)]
 ROUND += [("capsule", 0.05, 0.12), ("capsule", 0.05, 0.05)]
 
