@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 
 from tactile_hand_ros.errors import ConfigurationError
@@ -25,7 +24,10 @@ def config_directory() -> Path:
     Raises:
         ConfigurationError: If there is none.
     """
-    candidates = list(_candidates())
+    tree = Path(__file__).resolve().parents[2]
+    # An unrelated config/ may lie next to an installed package: package.xml marks our own tree.
+    candidates = [tree / "config"] if (tree / "package.xml").is_file() else []
+    candidates += [Path(prefix) / _SHARE for prefix in (*_listed_prefixes(), sys.prefix)]
     for candidate in candidates:
         if candidate.is_dir():
             return candidate.resolve()
@@ -38,15 +40,8 @@ def scenario_names() -> list[str]:
     return sorted(path.stem for path in (config_directory() / "scenarios").glob("*.yaml"))
 
 
-def _candidates() -> Iterator[Path]:
-    tree = Path(__file__).resolve().parents[2]
-    # An unrelated config/ may lie next to an installed package: package.xml marks our own tree.
-    if (tree / "package.xml").is_file():
-        yield tree / "config"
-    for prefix in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep):
-        if prefix:
-            yield Path(prefix) / _SHARE
-    yield Path(sys.prefix) / _SHARE
+def _listed_prefixes() -> list[str]:
+    return [entry for entry in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if entry]
 
 
 def use_own_prefix() -> None:
@@ -55,7 +50,7 @@ def use_own_prefix() -> None:
     Executables and message definitions are looked up there. A package that is already listed, as in
     a sourced workspace, is not added again.
     """
-    listed = [entry for entry in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if entry]
+    listed = _listed_prefixes()
     if any((Path(entry) / _MARK).exists() for entry in listed):
         return
     found = [folder for folder in Path(__file__).resolve().parents if (folder / _MARK).exists()][:1]
