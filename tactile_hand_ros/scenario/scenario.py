@@ -168,8 +168,7 @@ class Scenario(Config):
         """
         data = plain(self)
         places = put_changes(data, changes)
-        labels = {place: f"the change of {key}" for place, key in places.items()}
-        wanted = validate(Scenario, data, _source("the changed scenario", labels))
+        wanted = validate(Scenario, data, _source("the changed scenario", places, {}))
         if any(_overlap(f"{CONTROLLER}.law.name", place) for place in places):
             take_law(wanted.manipulation_controller.law)
         return wanted
@@ -263,24 +262,23 @@ def load_scenario(
     data = read_layers(path)
     data.setdefault("name", path.stem)
     places = put_changes(data, changes or {})
-    labels = {
-        place: (options or {}).get(key, f"the change of {key}") for place, key in places.items()
-    }
-    scenario = validate(Scenario, data, _source(str(path), labels))
+    scenario = validate(Scenario, data, _source(str(path), places, options or {}))
     _check_times(scenario, str(path), changes or {})
     take_law(scenario.manipulation_controller.law)
     return scenario
 
 
-def _source(file: str, labels: Mapping[str, str]) -> Callable[[str], str]:
+def _source(
+    file: str, changed: Mapping[str, str], options: Mapping[str, str]
+) -> Callable[[str], str]:
     """Return a function that names the source of the value at a place: the file or an option.
 
     An error of the scenario as a whole may come from either.
     """
 
     def source(place: str) -> str:
-        found = [label for key, label in labels.items() if _overlap(place, key)]
-        return ", ".join(found) or file
+        keys = [key for at, key in changed.items() if _overlap(place, at)]
+        return ", ".join(options.get(key, f"the change of {key}") for key in keys) or file
 
     return source
 
