@@ -64,10 +64,8 @@ def test_an_mjcf_is_the_hand_that_mujoco_sees(tmp_path):
     palm, turn = data.body("palm").xpos, data.body("palm").xmat.reshape(3, 3)
     seen = [(data.body(f"f{i}_tip").xpos - palm) @ turn for i in (1, 2, 3)]
     assert_allclose(hand.tip_positions(theta), seen, atol=1e-12)
-    whole, dofs = (
-        np.zeros((model.nv, model.nv)),
-        [model.joint(n).dofadr[0] for n in hand.joint_names],
-    )
+    whole = np.zeros((model.nv, model.nv))
+    dofs = [model.joint(name).dofadr[0] for name in hand.joint_names]
     mujoco.mj_fullM(model, data, whole)
     assert_allclose(hand.dynamics(theta, np.zeros(9))[1], whole[np.ix_(dofs, dofs)], atol=1e-12)
 

@@ -76,16 +76,9 @@ def test_what_is_found_touches_one_face_and_the_opposite_and_can_bear_its_load(
     ways = np.random.default_rng(0).standard_normal((2000, 3))
     ways *= best.load / np.linalg.norm(ways, axis=1)[:, None]
     spare = hand.effort_limits - np.abs(hand.gravity_torque(best.theta))
-    used = np.array(
-        [
-            joint_torques(
-                *tips,
-                points,
-                best.grasp_force * pressing + wrench_forces(points, np.append(way, np.zeros(3))),
-            )
-            for way in ways
-        ]
-    )
+    pulls = (wrench_forces(points, wrench) for wrench in np.pad(ways, ((0, 0), (0, 3))))
+    pushed = best.grasp_force * pressing
+    used = np.array([joint_torques(*tips, points, pushed + pull) for pull in pulls])
     assert 0.95 < (np.abs(used) / spare).max() <= 1.0 + 1e-9
 
 

@@ -199,10 +199,8 @@ def test_the_closest_point_of_a_round_body_is_on_its_surface_and_no_other_is_clo
         distance, normal = closest_point(shape, point)
         assert np.linalg.norm(normal) == pytest.approx(1.0)
         closest = point - distance * normal
-        assert is_inside(*body, np.outer([1.0 - 1e-9, 1.0 + 1e-9], closest)).tolist() == [
-            True,
-            False,
-        ]
+        around_it = np.outer([1.0 - 1e-9, 1.0 + 1e-9], closest)
+        assert is_inside(*body, around_it).tolist() == [True, False]
         assert (distance < 0.0) == is_inside(*body, point[None])[0]
         if distance > 0.0:  # the body is behind the plane through its closest point
             assert ((within - closest) @ normal).max() < 1e-12
