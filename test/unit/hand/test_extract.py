@@ -124,14 +124,8 @@ def test_a_joint_that_turns_without_end_has_a_turn_each_way(tmp_path):
     assert [limit[1] for limit in hand.position_limits] == [-2.0 * np.pi, 2.0 * np.pi]
 
 
-@pytest.fixture
-def coupled(tmp_path):
-    hand = Hand.load(str(write_hand(tmp_path, [4, 3, 3], couplings=COUPLED)))
-    hand.gravity = np.array([2.0, -3.0, 5.0])
-    return hand
-
-
-def test_a_joint_that_follows_is_no_joint_of_its_own(coupled, tmp_path):
+def test_a_joint_that_follows_is_no_joint_of_its_own(tmp_path):
+    coupled = Hand.load(str(write_hand(tmp_path, [4, 3, 3], couplings=COUPLED)))
     assert coupled.joint_names == [
         "f1_joint_1", "f1_joint_2", "f1_joint_3", "f2_joint_1", "f2_joint_2", "f2_joint_3",
         "f3_joint_1", "f3_joint_3",
@@ -142,25 +136,27 @@ def test_a_joint_that_follows_is_no_joint_of_its_own(coupled, tmp_path):
     every = np.insert(theta, [3, 7], [0.7 * theta[2] + 0.1, -1.5 * theta[6]])
     assert_allclose(coupled.tip_positions(theta), free.tip_positions(every), atol=1e-15)
     assert_allclose(coupled.tip_rotations(theta), free.tip_rotations(every), atol=1e-15)
-    assert potential_energy(coupled, theta) != potential_energy(free, every)  # gravity differs
 
 
+@pytest.mark.parametrize("couplings", [COUPLED, {}], ids=["coupled", "free"])
 @pytest.mark.parametrize("seed", range(3))
-def test_jacobians_inertia_and_weight_are_those_of_the_driven_joints(coupled, seed):
+def test_jacobians_inertia_and_weight_are_those_of_the_driven_joints(tmp_path, couplings, seed):
     """Independently: from tip positions, the kinetic energy and the potential."""
-    random = np.random.default_rng(seed)
-    theta, rates = random.uniform(-0.8, 0.8, 8), random.uniform(-2.0, 2.0, 8)
-    tips, inertia, _ = coupled.dynamics(theta, rates)
-    for j, e in enumerate(STEP * np.eye(8)):
-        ahead, behind = coupled.tip_positions(theta + e), coupled.tip_positions(theta - e)
+    path, gravity = write_hand(tmp_path, [4, 3, 3], couplings=couplings), [2.0, -3.0, 5.0]
+    hand, random = Hand.load(str(path), gravity=gravity), np.random.default_rng(seed)
+    theta, rates = (random.uniform(-most, most, hand.joints) for most in (0.8, 2.0))
+    tips, inertia, bias = hand.dynamics(theta, rates)
+    for j, e in enumerate(STEP * np.eye(hand.joints)):
+        ahead, behind = hand.tip_positions(theta + e), hand.tip_positions(theta - e)
         assert_allclose(tips.linear[:, :, j], (ahead - behind) / (2.0 * STEP), atol=1e-8)
-        slope = potential_energy(coupled, theta + e) - potential_energy(coupled, theta - e)
-        assert coupled.gravity_torque(theta)[j] == pytest.approx(slope / (2.0 * STEP), abs=1e-6)
-    assert 0.5 * rates @ inertia @ rates == pytest.approx(kinetic_energy(coupled, theta, rates))
+        slope = potential_energy(hand, theta + e) - potential_energy(hand, theta - e)
+        assert hand.gravity_torque(theta)[j] == pytest.approx(slope / (2.0 * STEP), abs=1e-6)
+    assert_array_equal(inertia, inertia.T)
+    assert 0.5 * rates @ inertia @ rates == pytest.approx(kinetic_energy(hand, theta, rates))
     # Power of the bias: the change of the kinetic energy at constant rates.
     ahead, behind = (theta + sign * STEP * rates for sign in (1.0, -1.0))
-    change = kinetic_energy(coupled, ahead, rates) - kinetic_energy(coupled, behind, rates)
-    bias = coupled.dynamics(theta, rates)[2] - coupled.gravity_torque(theta)
+    change = kinetic_energy(hand, ahead, rates) - kinetic_energy(hand, behind, rates)
+    bias = bias - hand.gravity_torque(theta)
     assert bias @ rates == pytest.approx(change / (2.0 * STEP), abs=1e-6)
 
 
