@@ -104,10 +104,16 @@ def test_gravity_acts_in_the_orientation_of_a_palm_at_rest():
     assert_allclose(found.command, same.command, atol=1e-6)
 
 
-def test_turns_in_no_order_are_refused():
-    motion = [{"time": 1.0, "rotation": [0.0, 0.0, 1.0]}] * 2
-    with pytest.raises(ConfigurationError, match="expected each after the last"):
-        load_scenario("hold", {"plant.palm_motion": motion})
+@pytest.mark.parametrize(
+    ("key", "value", "message"),
+    [
+        ("palm_motion", [TURNS[0].model_dump()] * 2, "expected each after the last"),
+        ("palm_turn", [0.1, 0.0, 0.0], "without palm_motion the hand has no imu"),
+    ],
+)
+def test_turns_in_no_order_or_without_an_imu_are_refused(key, value, message):
+    with pytest.raises(ConfigurationError, match=message):
+        load_scenario("hold", {f"plant.{key}": value})
 
 
 def test_a_user_turns_the_palm_on_top_of_its_motion_with_the_right_rates():
@@ -133,8 +139,3 @@ def test_a_palm_follows_a_user_within_a_second_and_its_hand_knows():
     assert_allclose(rotation_from_quaternion(state.palm), goal, atol=0.03)
     assert_allclose(plant.model.gravity, goal.T @ np.array(config.plant.gravity), atol=0.3)
     assert plant.reset().palm == pytest.approx([0.0, 0.0, 0.0, 1.0])
-
-
-def test_a_palm_without_an_imu_cannot_be_turned():
-    with pytest.raises(ConfigurationError, match="without palm_motion the hand has no imu"):
-        load_scenario("hold", {"plant.palm_turn": [0.1, 0.0, 0.0]})
