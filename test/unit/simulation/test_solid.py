@@ -94,12 +94,6 @@ def test_many_corners_take_no_minutes():
     assert len(solid.normals) == 1996
 
 
-def test_the_object_is_a_box_unless_corners_are_given():
-    assert len(ObjectConfig(size=(0.1, 0.2, 0.3)).solid().vertices) == 8
-    tetrahedron = [0.0, 0, 0, 1.0, 0, 0, 0, 1.0, 0, 0, 0, 1.0]
-    assert len(ObjectConfig(vertices=tetrahedron).solid().vertices) == 4
-
-
 @pytest.mark.parametrize(
     ("values", "message"),
     [
