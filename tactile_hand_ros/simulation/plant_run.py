@@ -20,6 +20,7 @@ class PlantRun:
         guard: Checks the command at each tick.
         state: Hand and object at the present tick.
         stamp: The present tick, ns.
+        refused: Why all commands are refused, so that the joints are held; empty to let them act.
     """
 
     def __init__(self, config: PlantConfig) -> None:
@@ -42,7 +43,7 @@ class PlantRun:
         self.guard.reset()
         self.stamp = 0
         self._command: TorqueCommand | None = None
-        self._refused = ""
+        self.refused = ""
 
     @property
     def is_last(self) -> bool:
@@ -55,26 +56,13 @@ class PlantRun:
         return self._command is not None
 
     @property
-    def refusing(self) -> bool:
-        """Whether all commands are refused."""
-        return bool(self._refused)
-
-    @property
     def reason(self) -> str:
         """Why the joints are held; empty while they are not."""
-        return self._refused or self.guard.reason
+        return self.refused or self.guard.reason
 
     def command(self, stamp: int, torque: Array) -> None:
         """Receive the torque, shape (m,), N m, that answers a tick, ns; the guard checks it."""
         self._command = TorqueCommand(stamp, torque)
-
-    def hold(self, reason: str) -> None:
-        """Refuse all commands, so that the joints are held, and give the reason."""
-        self._refused = reason
-
-    def release(self) -> None:
-        """Let good commands act again."""
-        self._refused = ""
 
     def push(self, stamp: int, wrench: Array) -> None:
         """Push the object for `PUSH_LASTS` from a stamp, ns, on; from now on if that is 0 or later.
@@ -86,7 +74,7 @@ class PlantRun:
 
     def advance(self) -> None:
         """Move one tick ahead."""
-        command, refused, stamp = self._command, self._refused, self.stamp
+        command, refused, stamp = self._command, self.refused, self.stamp
 
         def guarded(since: int, theta: Array, rates: Array) -> Array:
             return self.guard.step(stamp + since, theta, rates, command, refused)

@@ -158,7 +158,7 @@ class PlantDriver:
 
         Publish the diagnostics immediately, because the mode may have changed.
         """
-        self._run.release()
+        self._run.refused = ""
         self._publish_hold()
         self._is_answered = False
         self._diagnostics.clear("state")
@@ -224,8 +224,8 @@ class PlantDriver:
             self._too_old += 1  # the guard would reject it
             return
         self._answered_at = time.monotonic()
-        if run.refusing:
-            run.release()
+        if run.refused:
+            run.refused = ""
             if self._is_lockstep:
                 self._let_time_pass(False)
         self._diagnostics.clear("state")
@@ -264,8 +264,8 @@ class PlantDriver:
 
     def _hold(self, reason: str) -> None:
         """Hold the joints regardless of commands, while time follows the wall clock."""
-        if not self._run.refusing:
-            self._run.hold(reason)
+        if not self._run.refused:
+            self._run.refused = reason
             self._is_answered = False
             if self._is_lockstep:
                 self._let_time_pass(True)
@@ -352,22 +352,22 @@ class PlantDriver:
             return
         now = time.monotonic()
         if run.reason == CONFLICT and not self._senders.in_conflict:
-            run.hold(_LEFT)
-        if run.refusing or not self._waits or self._torque is not None or self._is_answered:
+            run.refused = _LEFT
+        if run.refused or not self._waits or self._torque is not None or self._is_answered:
             return
         silence = f"no usable joint_command for {c.command_timeout:g} s"
         if now - self._answered_at >= c.command_timeout and run.commanded:
             self._hold(f"{silence}, expected one for each tick")
         elif now - self._answered_at >= c.command_timeout:
             self._diagnostics.fault("state", f"{silence}, waiting at the first tick", WARN)
-        if not run.refusing and now - self._sent_at >= c.resend_after:
+        if not run.refused and now - self._sent_at >= c.resend_after:
             self._topics.repeat()
             self._sent_at = now
             self._resent += 1
 
     def to_safe_state(self, reason: str) -> None:
         """Hold the joints after an unexpected error, until the next valid command."""
-        is_idle = not self._is_on or self._is_finished or self._run.refusing
+        is_idle = not self._is_on or self._is_finished or self._run.refused
         if is_idle or not self._run.commanded:
             return
         self._hold(reason)

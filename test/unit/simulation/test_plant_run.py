@@ -53,15 +53,15 @@ def test_without_commands_the_joints_are_held_where_they_are():
 def test_a_refused_sender_moves_nothing_until_it_is_released():
     run = PlantRun(config())
     torque = np.full(run.plant.hand.joints, 0.5)
-    run.hold("two senders")
+    run.refused = "two senders"
     run.command(0, torque)
     run.advance()
-    assert run.refusing and run.guard.reason == "two senders"
+    assert run.guard.reason == "two senders"
     assert np.abs(run.state.torque).max() < 0.1
-    run.release()
+    run.refused = ""
     run.command(run.stamp, torque)
     run.advance()
-    assert not run.refusing and not run.guard.reason
+    assert not run.guard.reason
 
 
 def test_a_reset_run_repeats_to_the_bit_and_keeps_a_live_friction():
@@ -75,9 +75,9 @@ def test_a_reset_run_repeats_to_the_bit_and_keeps_a_live_friction():
         return run.state.theta
 
     first = end()
-    run.hold("two senders")
+    run.refused = "two senders"
     run.reset()
-    assert run.stamp == 0 and not run.refusing and not run.commanded and not run.guard.reason
+    assert run.stamp == 0 and not run.refused and not run.commanded and not run.guard.reason
     np.testing.assert_array_equal(end(), first)
     run.plant.configure(config().changed({"object.friction": 0.25}))
     assert (run.plant.friction == 0.25).all()
