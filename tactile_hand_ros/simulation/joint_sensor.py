@@ -20,18 +20,13 @@ class EncoderConfig(Config):
     rate_cutoff: float = param(100.0, "corner frequency of the rates", unit="Hz", gt=0.0)
 
     @property
-    def is_exact(self) -> bool:
-        """Whether angles and rates are exact."""
-        return self.bits == 0 and self.noise == 0.0
-
-    @property
     def step(self) -> float:
         """Step of an angle, rad; 0 for a continuous one."""
         return 2.0 * math.pi / 2**self.bits if self.bits else 0.0
 
     @property
     def resolution(self) -> float:
-        """Error of an angle, rad: a step, and three standard deviations."""
+        """Error of an angle, rad: a step, and three standard deviations; 0 if it is exact."""
         return self.step + 3.0 * self.noise
 
 
@@ -75,7 +70,7 @@ class JointSensor:
         """Return the report of true angles, rad, rates, rad/s, and torques, N m, shapes (m,)."""
         if self._effort_noise > 0.0:
             effort = effort + self._random.normal(0.0, self._effort_noise, len(effort))
-        if self._encoder.is_exact:
+        if self._encoder.resolution == 0.0:
             return JointReading(theta, rates, effort)
         seen = theta
         if self._encoder.noise > 0.0:
