@@ -36,11 +36,6 @@ class Turning(NamedTuple):
     rate: Array
     acceleration: Array
 
-    @property
-    def rests(self) -> bool:
-        """Whether the palm stands still."""
-        return not (self.rate.any() or self.acceleration.any())
-
 
 def resting(rotation: Array) -> Turning:
     """Return no motion, at a rotation of the palm in the world, shape (3, 3)."""

@@ -265,7 +265,7 @@ class Plant:
             self._user_turn = turned_by_user(self._user_turn, self.config.palm_turn, h)
         turning = self._turn_palm(middle)
         wrench, turns = self._weight, None
-        if turning is not None and not turning.rests:
+        if turning is not None and (turning.rate.any() or turning.acceleration.any()):
             theta, ahead = half_step(h, now)
             turns = self.hand.turning_torque(theta, ahead[:m], *turning[1:])
             body_motion = now.position, ahead[m : m + 3], ahead[m + 3 :]
