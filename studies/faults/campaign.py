@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import tempfile
+import threading
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
@@ -22,6 +23,7 @@ from tactile_hand_ros.sweep.space import Choice
 from tactile_hand_ros.sweep.table import Watch, keep
 
 _RECOVERY = 60.0  # s, maximum wait until the hand drives again; a busy machine starts nodes slowly
+_POLL = 0.01  # s, between two looks for it
 _AFTERWARDS = 0.3  # s of observation after that
 _STARTS = 3  # attempts to start a run
 _SLACK = 20.0  # s, maximum wall time to reach the fault
@@ -115,21 +117,11 @@ def inject(hand: RunningHand, run: Injection) -> Outcome:
             break
     else:
         raise TimeoutError(f"no grasp after {_STARTS} starts: {reason}")
-    begin = time.monotonic()
+    begin, pause = time.monotonic(), threading.Event()
     with injected(hand, run):
-        _pass_time(hand, situations.FAULT_TIME)
+        pause.wait(situations.FAULT_TIME)
     end = time.monotonic()
-    deadline = end + _RECOVERY
-
-    def is_back() -> bool:
-        late = time.monotonic() > deadline
-        return late or recovery(hand, hand.since(begin), end) is not None
-
-    hand.wait(is_back, "the recovery")
-    _pass_time(hand, _AFTERWARDS)
+    while recovery(hand, hand.since(begin), end) is None and time.monotonic() <= end + _RECOVERY:
+        pause.wait(_POLL)
+    pause.wait(_AFTERWARDS)
     return judge(hand, run, moment, begin, end)
-
-
-def _pass_time(hand: RunningHand, seconds: float) -> None:
-    until = time.monotonic() + seconds
-    hand.wait(lambda: time.monotonic() >= until, "the end of a pause")

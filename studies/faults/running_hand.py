@@ -6,8 +6,8 @@ from __future__ import annotations
 import bisect
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+from collections.abc import Sequence
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -33,12 +33,12 @@ from tactile_hand_ros.ros.messages import ContactsCodec, PoseCodec, WrenchCodec,
 from tactile_hand_ros.ros.middleware import ros_context
 from tactile_hand_ros.ros.node import SUBSCRIPTIONS
 from tactile_hand_ros.ros.parameters import to_params_yaml
+from tactile_hand_ros.ros.processes import wait_until
 from tactile_hand_ros.scenario.scenario import NODES, Scenario
 
 PATIENCE = 180.0
 """Maximum wait for the nodes of a session [s]."""
 
-_POLL = 0.01  # s
 _ANSWER = 20.0  # s, maximum wait for a service
 _AGAIN = 5.0  # s without an answer after which a service is called again
 
@@ -85,7 +85,12 @@ class RunningHand:
             self.node = Node("campaign", context=context)
             self._stack.callback(self.node.destroy_node)
             self._listen()
-            self._stack.enter_context(_spinning(self.node))
+            executor = WaitSetExecutor(context=context)
+            executor.add_node(self.node)
+            thread = threading.Thread(target=executor.spin)
+            thread.start()
+            self._stack.callback(thread.join)
+            self._stack.callback(executor.shutdown)
             self._await_readiness()
         except BaseException:
             self._stack.close()
@@ -143,7 +148,7 @@ class RunningHand:
                 if key.startswith(f"{SUBSCRIPTIONS} ")
             )
 
-        self.wait(met, "matched subscriptions of all nodes")
+        wait_until(met, PATIENCE, "matched subscriptions of all nodes")
 
     def _peers(self) -> dict[str, dict[str, str]]:
         """Return the latest diagnostics values of each of the five nodes."""
@@ -172,19 +177,6 @@ class RunningHand:
         """Return the message of an event."""
         return deserialize_message(event.data, self._types[event.topic])
 
-    def wait(self, condition: Callable[[], Any], what: str, limit: float = PATIENCE) -> Any:
-        """Wait for a condition, which is polled every few milliseconds.
-
-        Raises:
-            TimeoutError: If it stays false.
-        """
-        deadline, pause = time.monotonic() + limit, threading.Event()
-        while not (result := condition()):
-            if time.monotonic() > deadline:
-                raise TimeoutError(f"timed out after {limit:g} s waiting for {what}")
-            pause.wait(_POLL)
-        return result
-
     def _call(self, kind: Any, service: str, request: Any) -> Any:
         """Call a service until it answers.
 
@@ -194,7 +186,7 @@ class RunningHand:
         if service not in self._clients:
             self._clients[service] = self.node.create_client(kind, service)
         client = self._clients[service]
-        self.wait(client.service_is_ready, f"the service {service}")
+        wait_until(client.service_is_ready, PATIENCE, f"the service {service}")
         asked: list[Any] = []
         begin = time.monotonic()
 
@@ -203,7 +195,7 @@ class RunningHand:
                 asked.append(client.call_async(request))
             return next((future for future in asked if future.done()), None)
 
-        return self.wait(answer, f"an answer of {service}", _ANSWER).result()
+        return wait_until(answer, _ANSWER, f"an answer of {service}").result()
 
     def begin(self) -> None:
         """Restart at timestamp 0, with the targets of the scenario."""
@@ -229,7 +221,7 @@ class RunningHand:
                     return bool(stamp_to_ns(self.read(event).header.stamp) >= due)
             return False
 
-        self.wait(is_there, f"t = {seconds:g} s", limit)
+        wait_until(is_there, limit, f"t = {seconds:g} s")
 
     def positions(self, events: list[Received]) -> tuple[Array, Array]:
         """Return times [s] and positions of the object, shape (n, 3), m."""
@@ -265,17 +257,3 @@ class RunningHand:
                     if status.level == ERROR:
                         found.append((event.time, f"{status.name}: {status.message}"))
         return found
-
-
-@contextmanager
-def _spinning(node: Node) -> Iterator[None]:
-    """Serve a node in a thread."""
-    executor = WaitSetExecutor(context=node.context)
-    executor.add_node(node)
-    thread = threading.Thread(target=executor.spin)
-    thread.start()
-    try:
-        yield
-    finally:
-        executor.shutdown()
-        thread.join()
