@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator
+from functools import partial
 
 from bench.result import Measurement
 from bench.workload import Workload
@@ -44,15 +45,10 @@ def measure_blocks(work: Workload) -> list[Measurement]:
     ]
 
 
-def in_process_rate(work: Workload, ticks: int) -> float:
-    """Return the ticks per second of the in-process loop with one plant step per tick."""
-    loop = ClosedLoop(work.single)
-    began = time.perf_counter()
-    loop.run(ticks)
-    return ticks / (time.perf_counter() - began)
-
-
 def measure_loop(work: Workload) -> list[Measurement]:
     """Measure the whole loop in-process, as the reference for all other rates."""
-    rates = [in_process_rate(work, len(work.record)) for _ in range(work.repeats)]
+    single = work.scenario.changed({"plant.rate": 1.0 / work.scenario.plant.time_step})
+    ticks = len(work.record)
+    spent = _times(partial(ClosedLoop(single).run, ticks) for _ in range(work.repeats))
+    rates = [1e6 * ticks / each for each in spent]
     return [Measurement("in-process, one plant step a tick", "ticks/s", rates)]

@@ -25,7 +25,6 @@ import rclpy
 from geometry_msgs.msg import WrenchStamped
 from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
-from rclpy.publisher import Publisher
 
 from bench.processes import CapturedProcess, isolated_domain, start_executable
 from tactile_hand_ros import names
@@ -104,24 +103,19 @@ class Role:
         """
         self.node = Node(name, namespace=_NAMESPACE)
         sent = [link for link in wiring if link.publisher == name]
-        self._publishers = [self._publisher(link.topic) for link in sent]
+        make, profile = self.node.create_publisher, qos.tick_publisher_qos()
+        self._publishers = [make(WrenchStamped, link.topic, profile) for link in sent]
         self._readers = [len(link.subscribers) + recorders for link in sent]
         received = [link.topic for link in wiring if name in link.subscribers]
         for topic in received:
-            self._subscribe(topic)
+            receive, profile = partial(self._receive, topic), qos.tick_qos()
+            self.node.create_subscription(WrenchStamped, topic, receive, profile, raw=True)
         self._received, self._first = frozenset(received), received[0]
         self._open: dict[int, set[str]] = {}
         self._tick, self._last, self._began = 0, _WARM + ticks, 0.0
         self._leads = name == PLANT
         if self._leads:
             self.node.create_timer(_NUDGE, self._nudge)
-
-    def _publisher(self, topic: str) -> Publisher:
-        return self.node.create_publisher(WrenchStamped, topic, qos.tick_publisher_qos())
-
-    def _subscribe(self, topic: str) -> None:
-        receive, profile = partial(self._receive, topic), qos.tick_qos()
-        self.node.create_subscription(WrenchStamped, topic, receive, profile, raw=True)
 
     def _send(self, tick: int) -> None:
         data = b"\x00\x01\x00\x00" + _COUNT.pack(tick) + bytes(_BYTES - 8)

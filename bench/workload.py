@@ -40,11 +40,6 @@ class Workload:
         return cls(scenario, ClosedLoop(scenario).run(ticks), repeats, seconds, rates)
 
     @property
-    def single(self) -> Scenario:
-        """The scenario with one plant step per tick."""
-        return self.scenario.changed({"plant.rate": 1.0 / self.scenario.plant.time_step})
-
-    @property
     def grasps(self) -> list[Contacts]:
         """The contacts of each tick of the run."""
         pairs = zip(self.record.contact_positions, self.record.contact_quaternions, strict=True)
