@@ -10,18 +10,15 @@ Desired poses, grasp forces, live parameters and service calls are applied at th
 from __future__ import annotations
 
 import contextlib
-import copy
 from collections import deque
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tactile_hand_ros import names
 from tactile_hand_ros.closed_loop.loop import Chain
 from tactile_hand_ros.closed_loop.record import Record
-from tactile_hand_ros.compiled import Array
 from tactile_hand_ros.control.contact import Contacts
 from tactile_hand_ros.control.controller import Command, Controller, Mode
 from tactile_hand_ros.control.optimizer.force_optimizer import ForceOptimizer, OptimalForces, Status
@@ -130,26 +127,21 @@ def recompute(run: Run, law: str = "") -> Recomputation:
 
 def compare(recorded: Record, other: Record) -> list[Comparison]:
     """Compare the answers of controllers, tick by tick."""
-    return [
-        _compare(topic, unit, recorded.stamps, getattr(recorded, name), getattr(other, name))
-        for topic, name, unit in COMPARED
-    ]
+    return [_compare(recorded, other, *quantity) for quantity in COMPARED]
 
 
-def _compare(
-    topic: str, unit: str, stamps: NDArray[np.int64], recorded: Array, other: Array
-) -> Comparison:
-    a = np.ascontiguousarray(recorded.reshape(len(stamps), -1))
-    b = np.ascontiguousarray(other.reshape(len(stamps), -1))
-    same = (a.view(np.int64) == b.view(np.int64)) | (np.isnan(a) & np.isnan(b))
-    known = ~(np.isnan(a).all(axis=1) & np.isnan(b).all(axis=1))
-    differs = known & ~same.all(axis=1)
-    rows = np.flatnonzero(differs)
+def _compare(recorded: Record, other: Record, topic: str, name: str, unit: str) -> Comparison:
+    n = len(recorded)
+    a, b = (np.ascontiguousarray(getattr(r, name).reshape(n, -1)) for r in (recorded, other))
+    unknown = np.isnan(a) & np.isnan(b)
+    same = (a.view(np.int64) == b.view(np.int64)) | unknown
+    compared = int((~unknown.all(axis=1)).sum())
+    rows = np.flatnonzero(~same.all(axis=1))
     gaps = np.abs(a[rows] - b[rows])
     gaps = gaps[np.isfinite(gaps)]
     largest = float(gaps.max()) if len(gaps) else (np.nan if len(rows) else 0.0)
-    first = int(stamps[rows[0]]) if len(rows) else None
-    return Comparison(topic, unit, int(known.sum()), int(known.sum()) - len(rows), first, largest)
+    first = int(recorded.stamps[rows[0]]) if len(rows) else None
+    return Comparison(topic, unit, compared, compared - len(rows), first, largest)
 
 
 class ShadowLoop(Chain):
@@ -181,9 +173,8 @@ class ShadowLoop(Chain):
         wrapped: Any = map(_AtItsTicks, blocks, ticks, nothing)
         super().__init__(*wrapped)
         self._drives = inputs.answered(r.command)
-        self._out = copy.copy(r)
-        for name in _ANSWERS:  # the copy is not shared yet
-            object.__setattr__(self._out, name, np.full_like(getattr(r, name), np.nan))
+        unknown = {name: np.full_like(getattr(r, name), np.nan) for _, name, _ in COMPARED}
+        self._out = replace(r, **unknown)
 
     def run(self) -> Record:
         """Answer all ticks."""
@@ -282,6 +273,3 @@ class _AtItsTicks:
         self._measures |= is_answered and isinstance(self._block, SlipRegulator)
         answer = self._block.step(stamp, *inputs) if is_answered or self._measures else None
         return answer if is_answered else self._nothing
-
-
-_ANSWERS = tuple(name for _, name, _ in COMPARED)

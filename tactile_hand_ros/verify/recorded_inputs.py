@@ -99,7 +99,9 @@ def read_inputs(run: Run, scenario: Scenario, of_scenario: Collection[str] = ())
     changes = {}
     for node in CONTROLLERS:
         first, *later = _configurations(run, node, scenario.node_config(node), of_scenario)
-        later += [*_requests(run, node), *commands[node]]
+        asked = read_asked(run.messages[run.topics.full(names.accepted_requests(node))])
+        later += [Change(each.stamp, each.key, each.value == "true") for each in asked]
+        later += commands[node]
         changes[node] = [first, *sorted(later, key=lambda change: change.stamp)]
     return Inputs(record, contacts, measured, changes, scenario.plant.pacing == "realtime")
 
@@ -139,8 +141,3 @@ def _values(event: Any) -> dict[str, Any]:
     """Return the values of a ParameterEvent by name; the type selects the field."""
     found = {p.name: getattr(p.value, _FIELDS[p.value.type]) for p in event.changed_parameters}
     return {k: v.tolist() if isinstance(v, np.ndarray) else v for k, v in found.items()}
-
-
-def _requests(run: Run, node: str) -> list[Change]:
-    found = read_asked(run.messages[run.topics.full(names.accepted_requests(node))])
-    return [Change(each.stamp, each.key, each.value == "true") for each in found]
