@@ -69,8 +69,8 @@ class Study:
         pairs = zip(self.space.items(), self.fractions[index].tolist(), strict=True)
         return Point(index, seed, {name: p.value(fraction) for (name, p), fraction in pairs})
 
-    def results(self, indices: Iterable[int] | None = None) -> Iterator[tuple[Point, Any]]:
-        """Execute some runs, or all, and yield each with its result, in any order.
+    def results(self, indices: Iterable[int]) -> Iterator[tuple[Point, Any]]:
+        """Execute some runs and yield each with its result, in any order.
 
         A run that fails yields its reason, with the outcome `FAILED`, and does not stop the others.
 
@@ -78,9 +78,8 @@ class Study:
             MissingLibraryError: If joblib is not installed.
             StudyError: If processes die.
         """
-        chosen = range(len(self.fractions)) if indices is None else indices
         attempt = functools.partial(_attempt, self.run)
-        yield from in_parallel(attempt, map(self.point, chosen), ordered=False)
+        yield from in_parallel(attempt, map(self.point, indices), ordered=False)
 
 
 def _attempt(run: Callable[[Point], Any], point: Point) -> tuple[Point, Any]:

@@ -40,12 +40,6 @@ def outcome(record: Record, metrics: Metrics) -> str:
     return REACHED if metrics.goal_reached else MISSED
 
 
-def true_position_error(record: Record) -> float:
-    """Return the final distance of the true contact centroid from p_d, m."""
-    apart = record.desired_position[-1] - record.true_positions[-1].mean(axis=0)
-    return float(np.linalg.norm(apart))
-
-
 def friction_margin(record: Record, scenario: Scenario) -> float:
     """Return the minimum 1 - beta / mu of any contact after the start, with the true forces and mu.
 
@@ -75,9 +69,11 @@ class ScenarioRun:
         take_law(scenario.manipulation_controller.law)  # named by the user of the sweep
         record = ClosedLoop(scenario).run()
         found = metrics(record, scenario)
+        # From p_d to the true contact centroid.
+        apart = record.desired_position[-1] - record.true_positions[-1].mean(axis=0)
         numbers = {
             **vars(found),
-            "final_true_position_error_m": true_position_error(record),
+            "final_true_position_error_m": float(np.linalg.norm(apart)),
             "least_friction_margin": friction_margin(record, scenario),
         }
         return {**{name: numbers[name] for name in METRICS}, "outcome": outcome(record, found)}
