@@ -11,7 +11,7 @@ from __future__ import annotations
 import functools
 import itertools
 import tempfile
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -44,11 +44,10 @@ _NEARLY = 5e-4  # rad; with r_z exactly horizontal the frame of the contacts is 
 
 def turned(name: str, rotation: Array, folder: Path, changes: dict[str, Any]) -> Scenario:
     """Return a scenario with all directions rotated in the palm frame; write its hand."""
-    values = dict(changes)
-    base = load_scenario(name, values)
+    base = load_scenario(name, changes)
 
-    def turn(vector: Any) -> list[float]:
-        return [float(x) for x in rotation @ np.asarray(vector, dtype=float)]
+    def turn(vector: Any) -> Any:
+        return (rotation @ np.asarray(vector)).tolist()
 
     thing, plant = base.plant.object, base.plant
     start = rotation @ rotation_from_vector(thing.rotation)
@@ -57,7 +56,7 @@ def turned(name: str, rotation: Array, folder: Path, changes: dict[str, Any]) ->
         {**push.model_dump(), "force": turn(push.force), "torque": turn(push.torque)}
         for push in plant.disturbances
     ]
-    values |= {
+    values = {
         "hand": str(_changed_hand(base, folder, rotation=rotation)),
         "layout": "",
         "gravity": turn(base.gravity),
@@ -66,7 +65,7 @@ def turned(name: str, rotation: Array, folder: Path, changes: dict[str, Any]) ->
         "plant.object.rotation": vector_from_rotation(start).tolist(),
         "plant.disturbances": pushes,
     }
-    return load_scenario(name, values)
+    return load_scenario(name, changes | values)
 
 
 def reordered(name: str, order: Sequence[int], folder: Path, changes: dict[str, Any]) -> Scenario:
@@ -146,10 +145,9 @@ def _changed_hand(
         place = scale * np.fromstring(origin.get("xyz", "0 0 0"), sep=" ")
         origin.set("xyz", _numbers(place))
     for body in root.iter("inertial"):
-        inertia, found = body.find("inertia"), body.find("mass")
-        assert inertia is not None and found is not None
+        inertia, found = (next(body.iter(tag)) for tag in ("inertia", "mass"))
         before = float(found.get("value", "nan"))
-        mass = before if link is None else float(link)
+        mass = before if link is None else link
         found.set("value", repr(mass))
         for key, value in inertia.attrib.items():
             inertia.set(key, repr(scale**2 * mass / before * float(value)))
@@ -191,12 +189,6 @@ def alarms(record: Record) -> int:
     return int((slips[1:] & ~slips[:-1]).sum())
 
 
-def run_turned(name: str, rotation: Array, changes: dict[str, Any] | None = None) -> Record:
-    """Run a rotated scenario; see `turned`."""
-    with tempfile.TemporaryDirectory() as folder:
-        return ClosedLoop(turned(name, rotation, Path(folder), changes or {})).run()
-
-
 def orientations(count: int, seed: int) -> list[tuple[str, Array]]:
     """Return named rotations: none, contact normals to palm z, and random ones."""
     random = np.random.default_rng(seed)
@@ -212,20 +204,17 @@ def orientations(count: int, seed: int) -> list[tuple[str, Array]]:
     return found
 
 
-def ways(name: str, count: int, seed: int) -> list[tuple[str, Callable[..., Scenario]]]:
+def ways(name: str, count: int, seed: int) -> list[tuple[str, functools.partial[Scenario]]]:
     """Return the variants of a scenario: a label, and a function that creates it in a `folder`."""
     make = functools.partial
-    found: list[tuple[str, Callable[..., Scenario]]] = [
-        (label, make(turned, name, rotation, changes={}))
-        for label, rotation in orientations(count, seed)
-    ]
+    turns = orientations(count, seed)
+    found = [(label, make(turned, name, rotation, changes={})) for label, rotation in turns]
     for order in ((1, 2, 0), (2, 1, 0)):
         label = "fingers " + ", ".join(str(i + 1) for i in order)
         found.append((label, make(reordered, name, order, changes={})))
     for rate, skin in RATES:
         changes = {"plant.rate": rate, "tactile_sensor.rate": skin, "plant.time_step": 0.0005}
-        label = f"ticks {rate:g} Hz, skin {skin:g} Hz"
-        found.append((label, make(_changed, name, changes)))
+        found.append((f"ticks {rate:g} Hz, skin {skin:g} Hz", make(_changed, name, changes)))
     for bits in BITS:
         found.append((f"{bits} bits", make(_changed, name, {"plant.encoder.bits": bits})))
     for link, mass in itertools.product(LINKS, MASSES) if name == "hold" else ():

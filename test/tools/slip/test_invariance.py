@@ -4,7 +4,7 @@
 import numpy as np
 import pytest
 
-from studies.invariance import alarms, orientations, reordered, resized, run_turned
+from studies.invariance import alarms, orientations, reordered, resized, turned
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
 from tactile_hand_ros.rotations import rotation_from_vector
 
@@ -22,16 +22,17 @@ WAYS = dict(orientations(1, seed=3))
 
 
 @pytest.fixture(scope="module", params=["pull", "human_pull"])
-def straight(request):
+def straight(request, tmp_path_factory):
     """Return the run of a hand that is not turned."""
-    return request.param, run_turned(request.param, np.eye(3), NOISELESS)
+    hand = turned(request.param, np.eye(3), tmp_path_factory.mktemp("hand"), NOISELESS)
+    return request.param, ClosedLoop(hand).run()
 
 
 @pytest.mark.parametrize("way", [name for name in WAYS if name != "none"])
-def test_a_turned_hand_does_the_same(straight, way):
+def test_a_turned_hand_does_the_same(straight, way, tmp_path):
     """Also with a contact normal along palm z, where the contact frames flip."""
     name, expected = straight
-    record = run_turned(name, WAYS[way], NOISELESS)
+    record = ClosedLoop(turned(name, WAYS[way], tmp_path, NOISELESS)).run()
     np.testing.assert_array_equal(record.grip, expected.grip)
     np.testing.assert_allclose(record.grasp_force, expected.grasp_force, rtol=1e-9)
     np.testing.assert_allclose(record.friction, expected.friction, rtol=1e-9)
@@ -39,9 +40,10 @@ def test_a_turned_hand_does_the_same(straight, way):
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_a_grasp_whose_plane_stands_upright_is_kept_as_it_is_for_any_noise(seed):
+def test_a_grasp_whose_plane_stands_upright_is_kept_as_it_is_for_any_noise(seed, tmp_path):
     """There noise decides on which side of the plane r_z is."""
-    record = run_turned("human_hold", EXACTLY, {"duration": 0.3, "seed": seed})
+    changes = {"duration": 0.3, "seed": seed}
+    record = ClosedLoop(turned("human_hold", EXACTLY, tmp_path, changes)).run()
     start, end = record.object_quaternion[[0, -1]]
     assert abs(start @ end) > np.cos(0.5 * 0.03)
 
