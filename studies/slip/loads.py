@@ -7,20 +7,17 @@ unexpected load acts. Loads that no hand could hold are found by linear programm
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from studies.slip.minimum import minimum_against
+from studies.slip.minimum import initial_grasp, minimum_against
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
 from tactile_hand_ros.closed_loop.record import Record
 from tactile_hand_ros.compiled import Array
-from tactile_hand_ros.control.contact import Contacts
 from tactile_hand_ros.scenario.scenario import Scenario, load_scenario
-from tactile_hand_ros.simulation.plant import Plant
 from tactile_hand_ros.sweep.engine import FAILED, LOST, MISSED, REACHED, Point, Study
 from tactile_hand_ros.sweep.results import fraction_of
 from tactile_hand_ros.sweep.space import Choice
@@ -36,7 +33,7 @@ RESERVES = {"floor": (0.0, 0.2, 0.4, 0.6, 1.0), "fraction": (0.1, 0.2, 0.4)}
 EVENT_TIME, DURATION = 0.3, 0.7  # s
 SLIDE = 5e-3  # m; beyond it, the load has moved the object in the hand
 _BITS = 14  # encoder resolution
-_RELAXING = {"release_rate": 500.0, "release_time": 0.02}  # until the load
+_RELAXING = {"reflex.release_rate": 500.0, "reflex.release_time": 0.02}  # until the load
 
 
 @dataclass(frozen=True)
@@ -116,17 +113,9 @@ def _direction(random: np.random.Generator) -> Array:
     return np.asarray(vector / np.linalg.norm(vector))
 
 
-@functools.cache
-def _start(hand: str, layout: str) -> tuple[Contacts, Array]:
-    """Return the initial contacts and center of mass in a layout."""
-    changes = {"layout": layout, "targets": []}
-    plant = Plant(load_scenario(RANGES[hand].scenario, changes).plant)
-    return plant.state.contacts, plant.state.position
-
-
 def scenario_of(case: LoadCase, floor: float, fraction: float) -> Scenario:
     """Return the scenario of a load on a grasp with a reserve; see `DEFAULT`."""
-    centroid = _start(case.hand, case.layout)[0].centroid.tolist()
+    contacts, _ = initial_grasp(RANGES[case.hand].scenario, case.layout)
     load = {
         "kind": case.kind,
         "start": EVENT_TIME,
@@ -139,7 +128,7 @@ def scenario_of(case: LoadCase, floor: float, fraction: float) -> Scenario:
         "duration": DURATION,
         "seed": case.index + 1,
         "layout": case.layout,
-        "targets": [{"time": 0.0, "position": centroid}],
+        "targets": [{"time": 0.0, "position": contacts.centroid.tolist()}],
         "gravity": [9.81 * x for x in case.down],
         "plant.encoder.bits": _BITS,
         "plant.object.mass": case.mass,
@@ -177,8 +166,7 @@ def relaxed_run(scenario: Scenario, event: int) -> Record:
     """Run a scenario in which the grasp force relaxes fully before the tick of an event."""
     loop = ClosedLoop(scenario)
     config = scenario.slip_regulator
-    quick = config.model_copy(update={"reflex": config.reflex.model_copy(update=_RELAXING)})
-    loop.regulator.configure(quick)
+    loop.regulator.configure(config.changed(_RELAXING))
     hand = loop.plant.hand
     record = Record.empty(scenario.ticks, hand.finger_names, hand.joint_names)
     for row in range(scenario.ticks):
@@ -190,7 +178,7 @@ def relaxed_run(scenario: Scenario, event: int) -> Record:
 
 def _minimum(case: LoadCase, factors: Sequence[float]) -> float:
     """Return the minimum grasp force for the weight, alone and with multiples of the load."""
-    contacts, position = _start(case.hand, case.layout)
+    contacts, position = initial_grasp(RANGES[case.hand].scenario, case.layout)
     weight = 9.81 * case.mass * np.array([*case.down, 0.0, 0.0, 0.0])
     load = np.array([*case.force, *case.torque])
     wrenches = [weight + factor * load for factor in (0.0, *factors)]

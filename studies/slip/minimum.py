@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 
 import numpy as np
@@ -13,16 +14,23 @@ from tactile_hand_ros.compiled import Array
 from tactile_hand_ros.control.contact import Contacts
 from tactile_hand_ros.control.grasp import centered, grasp_map
 from tactile_hand_ros.extras import optional
-from tactile_hand_ros.scenario.scenario import Scenario
+from tactile_hand_ros.scenario.scenario import Scenario, load_scenario
+from tactile_hand_ros.simulation.plant import Plant
 from tactile_hand_ros.simulation.plant_config import external_wrench
 
 SIDES = 64
 """Edges of the pyramid inside a cone; the result is too large by at most 1 / cos(pi / 64)."""
 
 
-def minimum_grasp_force(
-    contacts: Contacts, wrench: Array, friction: ArrayLike, sides: int = SIDES
-) -> float:
+@functools.cache
+def initial_grasp(scenario: str, layout: str = "") -> tuple[Contacts, Array]:
+    """Return the initial contacts and center of mass, in the scenario's layout or another."""
+    changes = {"layout": layout, "targets": []} if layout else {}
+    plant = Plant(load_scenario(scenario, changes).plant)
+    return plant.state.contacts, plant.state.position
+
+
+def minimum_grasp_force(contacts: Contacts, wrench: Array, friction: ArrayLike) -> float:
     """Return the minimum sum of normal forces that lets contacts carry a wrench, (12).
 
         min sum f_n   s.t.   sum_i R_i f_i = F,   sum_i (p_i - c) x R_i f_i = T,   |f_t| <= mu f_n
@@ -35,7 +43,6 @@ def minimum_grasp_force(
         wrench: Required force and torque on the object, about the centroid c of the touching
             contacts, shape (6,), N and N m.
         friction: mu of all contacts or of each, shape (k,).
-        sides: Edges of a pyramid.
 
     Returns:
         The sum [N]; infinite if no forces inside the cones carry the wrench.
@@ -45,8 +52,8 @@ def minimum_grasp_force(
         return 0.0 if not np.any(wrench) else math.inf
     mu = np.broadcast_to(np.asarray(friction, dtype=float), touching.shape)[touching]
     points, frames = contacts.positions[touching], contacts.rotations[touching]
-    angles = 2.0 * np.pi * np.arange(sides) / sides
-    ring = np.stack([np.cos(angles), np.zeros(sides), np.sin(angles)], axis=1)
+    angles = 2.0 * np.pi * np.arange(SIDES) / SIDES
+    ring = np.stack([np.cos(angles), np.zeros(SIDES), np.sin(angles)], axis=1)
     edges = mu[:, None, None] * ring + np.array([0.0, 1.0, 0.0])
     arms = centered(points)
     # Scale torques by the size of the grasp, so that all rows have the same scale.

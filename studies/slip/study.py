@@ -12,30 +12,26 @@ import functools
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from studies.slip.minimum import minimum_against, minimum_at
+from studies.slip.minimum import initial_grasp, minimum_against, minimum_at
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
 from tactile_hand_ros.closed_loop.record import Record
 from tactile_hand_ros.compiled import Array
-from tactile_hand_ros.control.contact import Contacts
 from tactile_hand_ros.control.slip.detector import ContactState
 from tactile_hand_ros.extras import optional
 from tactile_hand_ros.report import tables
 from tactile_hand_ros.scenario.scenario import Scenario, load_scenario
-from tactile_hand_ros.simulation.plant import Plant
 from tactile_hand_ros.sweep.engine import LOST, MISSED, REACHED, Point, Study
 from tactile_hand_ros.sweep.results import fraction_of, median_interval, rank
 from tactile_hand_ros.sweep.space import Choice
 from tactile_hand_ros.sweep.table import Table
 
-Event = Literal["friction", "step", "ramp"]
-
-EVENTS: tuple[Event, ...] = ("friction", "step", "ramp")
 LOADS = {"friction": (1.2, 3.5), "step": (1.5, 8.0), "ramp": (1.5, 8.0)}
+EVENTS = tuple(LOADS)
 RATES = (250.0, 500.0, 1000.0)
 EVENT_TIME, DURATION, RAMP = 0.07, 0.19, 0.05  # s
 HELD = {"known": 2.0, "unknown": 12.0}
@@ -68,7 +64,7 @@ class SlipCase:
 
     Attributes:
         index: Number of the case; it seeds the sensor.
-        event: The event.
+        event: The event, of `EVENTS`.
         friction: mu before the event.
         mass: Mass of the object [kg].
         noise: Standard deviation of each force component [N].
@@ -81,7 +77,7 @@ class SlipCase:
     """
 
     index: int
-    event: Event
+    event: str
     friction: float
     mass: float
     noise: float
@@ -131,13 +127,6 @@ def pull_of(case: SlipCase) -> SlipCase:
 
 
 @functools.cache
-def _start(hand: str) -> tuple[Contacts, Array]:
-    """Return the initial contacts and center of mass."""
-    plant = Plant(_base(hand).plant)
-    return plant.state.contacts, plant.state.position
-
-
-@functools.cache
 def _base(hand: str) -> Scenario:
     return load_scenario(HANDS[hand].scenario)
 
@@ -145,7 +134,7 @@ def _base(hand: str) -> Scenario:
 def scenario_of(case: SlipCase, changes: Mapping[str, Any] | None = None) -> Scenario:
     """Return the scenario of a case with its event; changes by dotted key take precedence."""
     base = _base(case.hand).slip_regulator
-    contacts, position = _start(case.hand)
+    contacts, position = initial_grasp(HANDS[case.hand].scenario)
     wrench = np.array([0.0, 0.0, -9.81 * case.mass, 0.0, 0.0, 0.0])
     prior = base.friction.prior
     minimum = minimum_against(contacts, position, wrench, min(prior, case.friction))
@@ -174,19 +163,14 @@ def _event(case: SlipCase) -> dict[str, Any]:
     return {"plant.disturbances": [push]}
 
 
-def all_cases(runs: int, seed: int, hand: str = "paper") -> list[SlipCase]:
-    """Return the cases of all runs: a few long holds, some with the same pull, and the events."""
+def study_of(runs: int, seed: int, hand: str = "paper") -> Study:
+    """Return the study of a hand: a few long holds, some with the same pull, and the events."""
     cases = sample_cases(runs, seed, hand)
     long, same = (cases[:: min(runs, every)] for every in (200, 40))
     # The longest first, so that no core is idle at the end.
     held = [replace(case, kind=kind) for kind in ("unknown", "known") for case in long]
-    return held + [pull_of(case) for case in same] + cases
-
-
-def study_of(runs: int, seed: int, hand: str = "paper") -> Study:
-    """Return the study of a hand: a number of runs with an event, and a few long holds."""
-    cases = Choice(tuple(all_cases(runs, seed, hand)))
-    return Study({"case": cases}, run_one, runs, seed)
+    chosen = Choice((*held, *map(pull_of, same), *cases))
+    return Study({"case": chosen}, run_one, runs, seed)
 
 
 def run_one(point: Point) -> dict[str, Any]:
