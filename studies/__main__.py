@@ -8,10 +8,10 @@ import itertools
 import json
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 # Append, so that the installed package runs, in child processes too.
 if __name__ == "__main__":
@@ -43,14 +43,21 @@ Table = tuple[str, Sequence[str], Sequence[Sequence[str]]]
 
 def _kept(study: Study, out: Path, jobs: int) -> RunTable:
     """Make the missing runs of a study, and return the table of all runs."""
+    check_writable(out)
     with progress("running") as watch, workers(jobs):
         keep(study, out, watch)
     return read_table(out)
 
 
+def _computed(function: Callable[[Any], Any], items: Iterable[Any], out: Path, jobs: int) -> Any:
+    """Return what a function returns for each item."""
+    check_writable(out)
+    with workers(jobs):
+        return list(in_parallel(function, items))
+
+
 def _finish(out: Path, *tables: Table) -> None:
     """Print tables, and write them as Markdown."""
-    out.mkdir(parents=True, exist_ok=True)
     text = "\n".join(markdown(columns, rows) for _, columns, rows in tables)
     out.joinpath("summary.md").write_text(text, encoding="utf-8")
     for table in tables:
@@ -68,7 +75,6 @@ def slip(
     """Measure how fast slip is detected and stopped, and at what grasp force."""
     from studies.slip import study as s
 
-    check_writable(out)
     table = _kept(s.study_of(runs, seed, hand), out, jobs)
     delays = (f"slip, {runs} runs", s.COLUMNS, s.rows(table))
     _finish(out, delays, ("how often", s.FRACTION_COLUMNS, s.fraction_rows(table)))
@@ -83,11 +89,9 @@ def invariance(
     """Rotate and shrink the hand, reorder its fingers, change rates and encoders."""
     from studies import invariance as i
 
-    check_writable(out)
-    with workers(jobs):
-        done = in_parallel(functools.partial(i.compare, count=runs, seed=seed), i.SCENARIOS)
-        found = [row for rows in done for row in rows]
-    _finish(out, ("invariance", i.COLUMNS, found))
+    compare = functools.partial(i.compare, count=runs, seed=seed)
+    found = itertools.chain.from_iterable(_computed(compare, i.SCENARIOS, out, jobs))
+    _finish(out, ("invariance", i.COLUMNS, list(found)))
 
 
 def loads(
@@ -107,7 +111,6 @@ def loads(
     """
     from studies.slip import loads as load_study
 
-    check_writable(out)
     reserves = load_study.RESERVES
     if floor:
         reserves = {"floor": tuple(floor), "fraction": load_study.DEFAULT[1:]}
@@ -172,7 +175,6 @@ def stalls(
     """Stop and delay commands, with and without the guard."""
     from studies import stalls as s
 
-    check_writable(out)
     table = _kept(s.study_of(), out, jobs)
     title = "moved [mm] / slid [mm] / peak of the grasp force [N]"
     _finish(out, (title, s.COLUMNS, s.rows(table)))
@@ -185,10 +187,7 @@ def hands(
     """Search for grasps with five hands that exist, and hold, move, turn and pull objects."""
     from studies import hands as h
 
-    check_writable(out)
-    with workers(jobs):
-        found = list(in_parallel(h.tried, h.PAIRS))
-    _finish(out, ("hands", h.COLUMNS, found))
+    _finish(out, ("hands", h.COLUMNS, _computed(h.tried, h.PAIRS, out, jobs)))
 
 
 def engines(
@@ -202,9 +201,7 @@ def engines(
     from studies import engines as e
     from tactile_hand_ros.config.paths import scenario_names
 
-    check_writable(out)
-    with workers(jobs):
-        rows = list(in_parallel(e.compare, scenario or scenario_names()))
+    rows = _computed(e.compare, scenario or scenario_names(), out, jobs)
     friction = ("friction", e.FRICTION_COLUMNS, e.friction_rows())
     _finish(out, ("own / mujoco", e.COLUMNS, rows), friction)
 

@@ -218,11 +218,6 @@ class FaultyLoop(GuardedLoop):
         self._sent: deque[tuple[int, TorqueCommand]] = deque()
         self._pause, self._late = 0.0, 0
 
-    @property
-    def drives(self) -> bool:
-        """Whether the controller drove the object at the last tick."""
-        return bool(self.chain.plugged.drives)
-
     def tick(self, *, answers: bool = True, delay: int = 0) -> None:
         """Advance by one tick under the fault of the run."""
         del answers, delay
@@ -339,7 +334,7 @@ class _Seen:
     @property
     def recovered(self) -> float | None:
         """Time from the end of the fault until the hand drives [s]; None if it does not."""
-        is_driving = self._faulty.drives and not self._faulty.guard.holding
+        is_driving = self._faulty.chain.plugged.drives and not self._faulty.guard.holding
         return max(0.0, self.held_until - FAULT_TIME) if is_driving else None
 
     def run(self, seconds: float) -> None:
@@ -351,7 +346,7 @@ class _Seen:
             state, guard = faulty.loop.state, faulty.guard
             self.positions.append(state.position.copy())
             self.peak = max(self.peak, float(state.forces[:, 1].sum()))
-            if guard.holding or not faulty.drives:
+            if guard.holding or not faulty.chain.plugged.drives:
                 self.held_until = self._time
                 if guard.holding and self.safe is None:
                     self.safe, self.declared = self._time, guard.reason
