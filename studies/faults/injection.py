@@ -12,7 +12,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 
 import numpy as np
 from std_msgs.msg import Float64
@@ -37,35 +37,30 @@ _JUMP = 0.05  # m
 _STRAIGHT = np.array([0.0, 0.0, 0.0, 1.0])
 
 
-@contextmanager
-def injected(hand: RunningHand, run: Injection) -> Iterator[None]:
+def injected(hand: RunningHand, run: Injection) -> AbstractContextManager[None]:
     """Inject a fault for the duration of the block."""
-    with ExitStack() as stack:
-        if run.fault == space.NONE:
-            pass
-        elif run.component == space.USER:
-            stack.enter_context(_user(hand, run))
-        elif run.component == space.COMPUTER:
-            stack.enter_context(_computer(hand, run.fault))
-        else:
-            stack.enter_context(_process(hand, _NODE_OF[run.component], run.fault))
-        yield
+    if run.fault == space.NONE:
+        return nullcontext()
+    if run.component == space.USER:
+        return _user(hand, run)
+    if run.fault == "starved":
+        return _busy(_LOOPS_PER_CORE * (os.cpu_count() or 1))
+    if run.component == space.COMPUTER:
+        return _stopped([p.pid for name, p in hand.processes.items() if name != names.PLANT])
+    name = _NODE_OF[run.component]
+    if run.fault == "off":
+        return _killed(hand, name)
+    pid = hand.processes[name].pid
+    return _no_more_space(pid) if run.fault == "full disk" else _stopped([pid])
 
 
 @contextmanager
-def _process(hand: RunningHand, name: str, fault: str) -> Iterator[None]:
+def _killed(hand: RunningHand, name: str) -> Iterator[None]:
     process = hand.processes[name]
-    if fault == "off":
-        process.send(signal.SIGKILL)
-        process.wait()
-        yield
-        hand.start(name)
-    elif fault in ("stuck", space.STOPPED):
-        with _stopped([process.pid]):
-            yield
-    else:
-        with _no_more_space(process.pid):
-            yield
+    process.send(signal.SIGKILL)
+    process.wait()
+    yield
+    hand.start(name)
 
 
 @contextmanager
@@ -87,17 +82,6 @@ def _no_more_space(pid: int) -> Iterator[None]:
         yield
     finally:
         resource.prlimit(pid, resource.RLIMIT_FSIZE, before)
-
-
-@contextmanager
-def _computer(hand: RunningHand, fault: str) -> Iterator[None]:
-    if fault == "starved":
-        with _busy(_LOOPS_PER_CORE * (os.cpu_count() or 1)):
-            yield
-    else:
-        others = [p.pid for name, p in hand.processes.items() if name != names.PLANT]
-        with _stopped(others):
-            yield
 
 
 @contextmanager
