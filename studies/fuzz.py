@@ -39,6 +39,7 @@ _CHANGES = {
     "plant.autostart": False,
     "targets": [],
 }
+_KEPT = 5000  # events
 _BURST = 20  # inputs between two checks of the hand
 _STILL = 20.0  # s without a tick that count as a hang; a busy machine is none
 _FAR = 0.05  # m that the object may move under attack at rest
@@ -145,7 +146,7 @@ def _wrong(hand: RunningHand, start: Any) -> str:
     sent, pause = time.monotonic(), threading.Event()
     while True:
         pause.wait(_PAUSE)
-        hand.forget_but(5000)
+        del hand.events[:-_KEPT]
         for name, process in hand.processes.items():
             if process.returncode is not None:
                 return f"crash: {name} exited with code {process.returncode}"

@@ -69,8 +69,6 @@ class RunningHand:
         self._stack = ExitStack()
         self._clients: dict[str, Any] = {}
         self._types: dict[str, Any] = {}
-        self._facts: dict[str, dict[str, str]] = {}
-        self._looked_at = 0
 
     def __enter__(self) -> RunningHand:
         """Start all processes and wait until the nodes are connected."""
@@ -138,36 +136,20 @@ class RunningHand:
 
     def _await_readiness(self) -> None:
         """Wait until all subscriptions of all nodes are matched."""
+        matched: dict[str, bool] = {}
+        read = 0
 
         def met() -> bool:
-            values = self._peers()
-            return len(values) == len(NODES) and all(
-                int(count) >= 1
-                for facts in values.values()
-                for key, count in facts.items()
-                if key.startswith(f"{SUBSCRIPTIONS} ")
-            )
+            nonlocal read
+            new = self.events[read:]
+            read += len(new)
+            told = (event for event in new if event.topic == names.DIAGNOSTICS)
+            for status in (each for event in told for each in self.read(event).status):
+                counts = (p.value for p in status.values if p.key.startswith(f"{SUBSCRIPTIONS} "))
+                matched[status.name.removeprefix("/")] = all(map(int, counts))
+            return all(matched.get(name) for name in NODES)
 
         wait_until(met, PATIENCE, "matched subscriptions of all nodes")
-
-    def _peers(self) -> dict[str, dict[str, str]]:
-        """Return the latest diagnostics values of each of the five nodes."""
-        new, self._looked_at = self.events[self._looked_at :], len(self.events)
-        for event in new:
-            if event.topic == names.DIAGNOSTICS:
-                for status in self.read(event).status:
-                    if status.name.removeprefix("/") in NODES:
-                        facts = {pair.key: pair.value for pair in status.values}
-                        self._facts[status.name] = facts
-        return self._facts
-
-    def forget_but(self, count: int) -> None:
-        """Keep only the last events, for endless runs."""
-        self._peers()  # keeps the diagnostics values
-        surplus = len(self.events) - count
-        if surplus > 0:
-            del self.events[:surplus]
-            self._looked_at = max(0, self._looked_at - surplus)
 
     def since(self, moment: float) -> list[Received]:
         """Return the events after a moment of the monotonic clock [s]."""
@@ -208,7 +190,6 @@ class RunningHand:
             pose = target.target()
             self.poses.publish(codec.encode(pose.position, pose.quaternion, target.stamp))
         self.events.clear()
-        self._looked_at = 0
         self._call(SetBool, "plant/run", SetBool.Request(data=True))
 
     def wait_for_time(self, seconds: float, limit: float = PATIENCE) -> None:
