@@ -138,7 +138,6 @@ def faults(
     Each way to run has a folder. An interrupted campaign continues where it stopped.
     """
     from studies.faults import campaign, space
-    from studies.faults import tables as fault_tables
     from tactile_hand_ros.errors import ConfigurationError
 
     ways, known = tuple(dict.fromkeys(way or space.WAYS)), (*space.WAYS, *space.SITUATIONS)
@@ -152,7 +151,7 @@ def faults(
         for name, group in itertools.groupby(chosen, lambda run: run.way):
             campaign.run_campaign(list(group), out / name, jobs, watch)
     tables = [read_table(out / name) for name in ways if (out / name).is_dir()]
-    _finish(out, ("faults", fault_tables.COLUMNS, fault_tables.rows(tables)))
+    _finish(out, ("faults", campaign.COLUMNS, campaign.rows(tables)))
 
 
 def fuzz(

@@ -6,7 +6,7 @@ from contextlib import nullcontext
 import numpy as np
 import pytest
 
-from studies.faults import campaign, space, tables
+from studies.faults import campaign, space
 from studies.faults.outcome import Outcome
 from tactile_hand_ros.sweep.table import read_table
 
@@ -41,7 +41,7 @@ def test_every_run_is_made_once_also_after_one_that_broke_the_nodes(monkeypatch,
     table = read_table(tmp_path)
     assert table["outcome"].tolist() == ["reached", "failed", "reached", "lost", "reached"]
     assert table["reason"][1].startswith("TimeoutError: no answer (test_campaign.py:")
-    [_, all_faults, *_] = tables.rows([table])
+    [_, all_faults, *_] = campaign.rows([table])
     assert all_faults[:4] == ["composed, all faults", "4", "1", "4.6 to 69.9 %"]
     assert all_faults[4:] == ["1.0", "8", "0.50", "0.50"]
-    assert tables.row("x", table, np.zeros(5, dtype=bool)) == ["x", "0", *["-"] * 6]
+    assert campaign.row("x", table, np.zeros(5, dtype=bool)) == ["x", "0", *["-"] * 6]
