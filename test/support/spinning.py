@@ -2,9 +2,8 @@
 """Nodes that are served in parallel with the test."""
 
 import contextlib
-import threading
 from collections.abc import Iterator
-from typing import Any
+from concurrent.futures import ThreadPoolExecutor
 
 from rclpy.node import Node
 
@@ -17,20 +16,10 @@ def spinning(*nodes: Node) -> Iterator[None]:
     executor = WaitSetExecutor(context=nodes[0].context)
     for node in nodes:
         executor.add_node(node)
-    failures: list[BaseException] = []
-    thread = threading.Thread(target=_spin, args=(executor, failures))
-    thread.start()
-    try:
-        yield
-    finally:
-        executor.shutdown()
-        thread.join()
-        if failures:
-            raise failures[0]
-
-
-def _spin(executor: Any, failures: list[BaseException]) -> None:
-    try:
-        executor.spin()
-    except BaseException as error:
-        failures.append(error)
+    with ThreadPoolExecutor(1) as pool:
+        served = pool.submit(executor.spin)
+        try:
+            yield
+        finally:
+            executor.shutdown()
+            served.result()
