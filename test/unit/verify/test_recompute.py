@@ -189,11 +189,6 @@ class Changing(ClosedLoop):
         super().tick(record, row)
 
 
-BLOCKS = {
-    "slip_regulator": ("regulator",),
-    "force_optimizer": ("optimizer",),
-    "manipulation_controller": ("controller",),
-}
 LIVE: dict[str, dict[int, dict[str, Any]]] = {
     "slip_regulator": {
         60: {"reflex.margin": 0.3, "reserve.floor": 1.0},
@@ -226,10 +221,8 @@ def test_live_parameters_count_from_their_tick_on(tmp_path):
         for row, live in rows.items():
 
             def change(loop: ClosedLoop, node: str = node, to: Any = live) -> None:
-                blocks = [getattr(loop, name) for name in BLOCKS[node]]
-                config = blocks[0].config.changed(to)
-                for block in blocks:
-                    block.configure(config)
+                block = getattr(loop, node.rpartition("_")[2])
+                block.configure(block.config.changed(to))
 
             changes[row] = change
     record = Changing(scenario, changes).run(TICKS)
