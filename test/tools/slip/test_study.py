@@ -122,6 +122,19 @@ def test_the_minimum_grasp_force_of_a_run_follows_load_and_friction(run):
     assert after > 3.0 * before
 
 
+LATE = [case for case in study.sample_cases(60, 3) if case.latency > 0.008 and case.rate == 250.0]
+
+
+@pytest.mark.parametrize("event", study.EVENTS)
+def test_a_late_and_slow_skin_is_believed_when_the_object_begins_to_slip(event):
+    """Slip prevention is blind to touch that the controller doubts: true touch never is."""
+    loop = ClosedLoop(study.scenario_of(next(case for case in LATE if case.event == event)))
+    record = loop.run(1)
+    for _ in range(1, loop.scenario.ticks):
+        loop.tick(record, 0)
+        assert not loop.controller.touch_rejected
+
+
 def test_a_small_study_gives_its_tables(tmp_path, monkeypatch):
     monkeypatch.setattr(study, "HELD", {"known": 0.3, "unknown": 0.3})
     with workers(1):
