@@ -74,7 +74,7 @@ class Wires:
 
     def carry(self, name: str, value: Any, wrong: Callable[[Any], Any]) -> Any:
         """Return the received value, or None if it is lost."""
-        if not (self.failing and name.startswith(self._names)) or not self._names:
+        if not self.failing or not name.startswith(self._names):
             return value
         if self._fault == "stuck":
             return self._frozen.setdefault(name, value)
@@ -195,8 +195,7 @@ class FaultyChain(SensingChain):
         forces: Array,
     ) -> Answer:
         """Return the answer to a tick; without one, it is marked as not to be sent."""
-        joints = self._carry("joints", (theta, rates, applied), _turned)
-        moved: Any = joints or (None, None, None)
+        moved: Any = self._carry("joints", (theta, rates, applied), _turned) or (None,) * 3
         given: Any = [self._carry(f"force {i}", f, _wrong_force) for i, f in enumerate(forces)]
         measured: Any = None if any(each is None for each in given) else np.array(given)
         touch = self._carry("contacts", contacts, _moved)

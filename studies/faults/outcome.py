@@ -95,8 +95,7 @@ def distance(run: Injection, seen: Array, moment: float) -> float:
 def _first_declared(hand: RunningHand, events: list[Received]) -> tuple[float | None, str]:
     """Return the time and the source of the first hold or ERROR."""
     holds = [(e.time, names.JOINT_HOLD) for e in _holds(hand, events)]
-    found = sorted([*holds, *hand.errors(events)])
-    return found[0] if found else (None, "")
+    return min([*holds, *hand.errors(events)], default=(None, ""))
 
 
 def _holds(hand: RunningHand, events: list[Received]) -> list[Received]:
