@@ -9,16 +9,19 @@ import random
 import signal
 import socket
 import tempfile
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
+from pathlib import Path
 
 from tactile_hand_ros.ros.middleware import socket_settings
+from tactile_hand_ros.ros.parameters import to_params_yaml
 from tactile_hand_ros.ros.processes import (
     ChildProcess,
     end_together,
     executable_path,
     wait_until,
 )
+from tactile_hand_ros.scenario.scenario import NODES, Scenario
 
 _PORT_BASE = 32768
 _ABORT_SECONDS = 5.0
@@ -141,3 +144,13 @@ def start_executable(
 ) -> CapturedProcess:
     """Start an executable of this package such as ``plant``, as ``ros2 run`` does."""
     return CapturedProcess([executable_path(name), *args], env=env)
+
+
+def parameter_files(scenario: Scenario, folder: Path, nodes: Iterable[str] = NODES) -> list[str]:
+    """Write the parameters of nodes; return the arguments that name the files."""
+    arguments = []
+    for name in nodes:
+        file = folder / f"{name}.yaml"
+        file.write_text(to_params_yaml(scenario.node_config(name), name))
+        arguments += ["--params-file", str(file)]
+    return arguments

@@ -20,19 +20,21 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool, Float64
 from std_srvs.srv import SetBool, Trigger
 
-from bench.processes import CapturedProcess, isolated_domain, start_executable
+from bench.processes import (
+    CapturedProcess,
+    isolated_domain,
+    parameter_files,
+    start_executable,
+)
 from tactile_hand_ros import names
 from tactile_hand_ros.compiled import Array
 from tactile_hand_ros.config.hand_config import load_hand_config
-from tactile_hand_ros.config.model import Config
-from tactile_hand_ros.nodes.recorder.config import RecorderConfig
 from tactile_hand_ros.ros import qos
 from tactile_hand_ros.ros.diagnostics import ERROR
 from tactile_hand_ros.ros.executor import WaitSetExecutor
 from tactile_hand_ros.ros.messages import ContactsCodec, PoseCodec, WrenchCodec, stamp_to_ns
 from tactile_hand_ros.ros.middleware import ros_context
 from tactile_hand_ros.ros.node import SUBSCRIPTIONS
-from tactile_hand_ros.ros.parameters import to_params_yaml
 from tactile_hand_ros.ros.processes import wait_until
 from tactile_hand_ros.scenario.scenario import NODES, Scenario
 
@@ -101,15 +103,10 @@ class RunningHand:
 
     def start(self, executable: str, nodes: Sequence[str] = ()) -> None:
         """Start a node, or several nodes in one process, or start it again."""
-        arguments = ["--ros-args"]
-        for name in nodes or (executable,):
-            config: Config = RecorderConfig(output=str(self._folder / "bag"))
-            if name != names.RECORDER:
-                config = self.scenario.node_config(name)
-            file = self._folder / f"{name}.yaml"
-            file.write_text(to_params_yaml(config, name))
-            arguments += ["--params-file", str(file)]
-        process = start_executable(executable, *arguments)
+        arguments = ["-p", f"output:={self._folder}/bag"]
+        if executable != names.RECORDER:
+            arguments = parameter_files(self.scenario, self._folder, nodes or (executable,))
+        process = start_executable(executable, "--ros-args", *arguments)
         self.processes[executable] = self._stack.enter_context(process)
 
     def _listen(self) -> None:

@@ -7,10 +7,10 @@ import numpy as np
 from geometry_msgs.msg import PoseArray, WrenchStamped
 from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool, Trigger
-from support.graph import parameter_files
 from support.messages import encoded
 from support.nodes import Process, counts, facts, tapped
 
+from bench.processes import parameter_files
 from tactile_hand_ros import names
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
 from tactile_hand_ros.nodes import composed

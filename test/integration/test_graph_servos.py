@@ -8,10 +8,10 @@ import pytest
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import WrenchStamped
 from sensor_msgs.msg import JointState
-from support.graph import Graph, parameter_files
+from support.graph import Graph
 from support.messages import joint_message
 
-from bench.processes import isolated_domain
+from bench.processes import isolated_domain, parameter_files
 from tactile_hand_ros import names
 from tactile_hand_ros.config.plain_yaml import find_file
 from tactile_hand_ros.hand.hand import Hand

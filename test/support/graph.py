@@ -22,7 +22,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64
 from std_srvs.srv import SetBool, Trigger
 
-from bench.processes import CapturedProcess, start_executable
+from bench.processes import CapturedProcess, parameter_files, start_executable
 from support.messages import pose_message
 from support.spinning import spinning
 from tactile_hand_ros import names
@@ -32,7 +32,6 @@ from tactile_hand_ros.ros import qos
 from tactile_hand_ros.ros.messages import stamp_to_ns
 from tactile_hand_ros.ros.middleware import ros_context
 from tactile_hand_ros.ros.node import PUBLICATIONS, SUBSCRIPTIONS
-from tactile_hand_ros.ros.parameters import to_params_yaml
 from tactile_hand_ros.ros.processes import end_together, wait_until
 from tactile_hand_ros.scenario.scenario import NODES, Scenario
 
@@ -56,16 +55,6 @@ TICK_TOPICS = [
     *(name(f"finger_{i}") for name in PER_FINGER for i in (1, 2, 3)),
 ]
 """Topics of the tick of a hand with three fingers."""
-
-
-def parameter_files(scenario: Scenario, folder: Path, nodes: Iterable[str] = NODES) -> list[str]:
-    """Write the parameters of nodes; return the arguments that name the files."""
-    arguments = []
-    for name in nodes:
-        file = folder / f"{name}.yaml"
-        file.write_text(to_params_yaml(scenario.node_config(name), name))
-        arguments += ["--params-file", str(file)]
-    return arguments
 
 
 class Health(NamedTuple):
