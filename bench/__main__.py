@@ -57,6 +57,8 @@ def bench(
     """Measure speed, startup and missed deadlines, and save the results."""
     from bench.result import COLUMNS, to_json
     from bench.workload import Workload
+    from tactile_hand_ros.closed_loop.loop import ClosedLoop
+    from tactile_hand_ros.scenario.scenario import load_scenario
 
     chosen = only or list(Section)
     if out.is_dir():
@@ -64,7 +66,8 @@ def bench(
     check_writable(out.parent)
     results: list[Measurement] = []
     with steps("measuring", len(chosen)) as advance:
-        work = Workload.prepare(ticks, repeats, seconds, tuple(rate or (500.0, 1000.0)))
+        scenario, rates = load_scenario("paper"), tuple(rate or (500.0, 1000.0))
+        work = Workload(scenario, ClosedLoop(scenario).run(ticks), repeats, seconds, rates)
         for name in chosen:
             results += _measure(name, work)
             advance(name.value)

@@ -5,17 +5,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from tactile_hand_ros.closed_loop.loop import ClosedLoop
 from tactile_hand_ros.closed_loop.record import Record
 from tactile_hand_ros.control.contact import Contacts
-from tactile_hand_ros.scenario.scenario import Scenario, load_scenario
-
-SCENARIO = "paper"
+from tactile_hand_ros.scenario.scenario import Scenario
 
 
 @dataclass(frozen=True)
 class Workload:
-    """The workload of the benchmarks, prepared once, with all code compiled and warm.
+    """The workload of the benchmarks; its run has compiled and warmed all code.
 
     Attributes:
         scenario: The scenario.
@@ -30,14 +27,6 @@ class Workload:
     repeats: int
     seconds: float
     rates: tuple[float, ...]
-
-    @classmethod
-    def prepare(
-        cls, ticks: int | None, repeats: int, seconds: float, rates: tuple[float, ...]
-    ) -> Workload:
-        """Run the scenario once, for some ticks or all."""
-        scenario = load_scenario(SCENARIO)
-        return cls(scenario, ClosedLoop(scenario).run(ticks), repeats, seconds, rates)
 
     @property
     def grasps(self) -> list[Contacts]:
