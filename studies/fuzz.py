@@ -91,12 +91,11 @@ def damaged(data: bytes, chance: random.Random) -> bytes:
 
 def _inputs(hand: RunningHand) -> dict[str, Any]:
     """Return every topic that a node of the hand subscribes to, with its type."""
-    types = dict(hand.node.get_topic_names_and_types())
-    ends = {topic: hand.node.get_subscriptions_info_by_topic(topic) for topic in types}
+    readers = hand.node.get_subscriptions_info_by_topic
     return {
-        topic: message_class(types[topic][0])
-        for topic, subscribers in ends.items()
-        if topic not in names.OF_ALL and any(end.node_name in NODES for end in subscribers)
+        topic: message_class(types[0])
+        for topic, types in hand.node.get_topic_names_and_types()
+        if topic not in names.OF_ALL and any(end.node_name in NODES for end in readers(topic))
     }
 
 
