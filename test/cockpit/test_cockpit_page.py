@@ -20,6 +20,7 @@ from support.graph import Graph
 
 from bench.processes import CapturedProcess, isolated_domain, start_executable
 from tactile_hand_ros.cockpit.config import LINK
+from tactile_hand_ros.run.events import REACTION
 from tactile_hand_ros.scenario.scenario import load_scenario
 
 # Lockstep, so that a slow browser on a busy computer slows time down but not the hand.
@@ -150,9 +151,11 @@ def test_a_pull_slips_and_is_caught(page: Page, hand: tuple[Graph, str]) -> None
     let_go(page)
     page.wait(lambda: page.js("return 'stuck' in report.source.status.response"))
     response = page.js("return report.source.status.response")
-    assert 0.0 <= response["detection"] <= 100.0
-    # The load alone may have raised k_f to its limit before the slip.
-    assert 0.0 <= response.get("reaction", 0.0) <= 100.0
+    # A later event would belong to another slip. How late these come on a busy machine is measured,
+    # not tested. The load alone may have raised k_f to its limit before the slip.
+    assert all(
+        0.0 <= response.get(step, 0.0) <= 1e3 * REACTION for step in ("detection", "reaction")
+    )
     assert row(page, "grasp_force")[0] > force
     assert page.driver.find_element(By.CSS_SELECTOR, ".response .step b").text != "\u2013"
     page.wait(lambda: np.allclose(row(page, "push"), 0.0))
