@@ -147,7 +147,7 @@ def _changed_hand(
     for body in root.iter("inertial"):
         inertia, found = (next(body.iter(tag)) for tag in ("inertia", "mass"))
         before = float(found.get("value", "nan"))
-        mass = before if link is None else link
+        mass = before if link is None else float(link)
         found.set("value", repr(mass))
         for key, value in inertia.attrib.items():
             inertia.set(key, repr(scale**2 * mass / before * float(value)))
