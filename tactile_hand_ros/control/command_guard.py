@@ -18,10 +18,10 @@ from tactile_hand_ros.config.model import Config, param
 from tactile_hand_ros.control.holds import (
     GuardHold,
     GuardHoldConfig,
-    JointRates,
     split_forces,
     tip_forces,
 )
+from tactile_hand_ros.control.sensing import JointRates
 from tactile_hand_ros.hand.hand import Dynamics, Hand
 
 NO_COMMAND = "no command yet"

@@ -106,6 +106,15 @@ def _touching(positions: Array, rotations: Array) -> NDArray[np.bool_]:
     return out
 
 
+def tip_gaps(tips: Fingertips, contacts: Contacts, radii: Array) -> Array:
+    """Return the contacts less the points p_f + r n of the fingertips, shape (k, 3), m.
+
+    A contact lies on its fingertip, so this is what joints and touch disagree about. The radii have
+    the shape (k,), m.
+    """
+    return contacts.positions - tips.positions - radii[:, None] * contacts.normals
+
+
 @compiled
 def contact_frame(normal: Array) -> Array:
     """Return R_C = [t_x, n, t_z], shape (3, 3), of a unit normal n into the object, palm frame.

@@ -3,10 +3,8 @@
 
 from __future__ import annotations
 
-import bisect
 import enum
 import math
-from collections import deque
 from typing import NamedTuple
 
 import numpy as np
@@ -17,9 +15,6 @@ from tactile_hand_ros.config.model import Config, param
 from tactile_hand_ros.control.contact import Contacts, all_finite, in_palm
 from tactile_hand_ros.control.grasp import carried_along
 from tactile_hand_ros.control.holds import (
-    JointRates,
-    TorqueDelay,
-    bearable_fraction,
     fitted_gains,
     kept_contacts,
     motions_of_object,
@@ -34,15 +29,16 @@ from tactile_hand_ros.control.laws import (
     ManipulationLaw,
     NormalForceControl,
     Target,
+    bearable_fraction,
 )
 from tactile_hand_ros.control.plausibility import (
     InputCheck,
     Tolerances,
-    TouchAge,
     implausible_shape,
 )
 from tactile_hand_ros.control.reach import end_of, room
 from tactile_hand_ros.control.regrasp import Regrasp, RegraspConfig
+from tactile_hand_ros.control.sensing import JointRates, LateTouch, TorqueDelay
 from tactile_hand_ros.control.targets import Grasp, SmoothReference, TargetQueue
 from tactile_hand_ros.errors import GraspError
 from tactile_hand_ros.hand.hand import Fingertips, Hand
@@ -271,10 +267,7 @@ class Controller:
         self._touching, self._fingers = touching, self.hand.part(touching)
         self._inputs = InputCheck(self._fingers)
         self._room: Array | None = None  # largest during the present move, see `room`
-        # Contact points, m, and the joint angles when they were measured, rad.
-        self._sample: tuple[Array, Array] | None = None
-        self._past: deque[tuple[int, Array]] = deque()  # ticks, ns, and their joint angles, rad
-        self._age = TouchAge(self._fingers.fingers)
+        self._late_touch = LateTouch(self._fingers)
 
     def _new_grasp(self) -> None:
         self.warning, self._fitted_to, self._fitted_fingers = "", (0.0, 0), 0
@@ -428,7 +421,8 @@ class Controller:
         self._held = Held(parts.internal, parts.load_compensation, now.grasp_force)
         if now.elapsed > 0.0:  # the tick rate has been measured
             self._judge_hold(now)
-        torque = self._ahead(self._bearable(parts, self._weight(now.theta)), now.elapsed)
+        torque = parts.within(self.hand.effort_limits, self._weight(now.theta))
+        torque = self._ahead(torque, now.elapsed)
         if not self._touching.all():
             torque = self._closing(torque, now.theta, now.rates, now.contacts.centroid)
         self._delay.sent(torque)
@@ -441,38 +435,19 @@ class Controller:
         by their rates. The contacts move with them since they were measured: a skin is late, and a
         slow one repeats its samples. Older directions would cost damping.
         """
-        touch = now.contacts.positions, now.contacts.rotations
-        self._past.append((now.stamp, now.theta))
-        while self._past[0][0] < now.stamp - 1e9 * self.config.touch_latency:
-            self._past.popleft()
         passes = now.elapsed > 0.0 and all_finite(now.rates)
-        if self._sample is None or (touch[0] != self._sample[0]).any():
-            self._sample = touch[0], self._sampled(now, tips, passes)
-        since = now.theta - self._sample[1]
+        seen = now.rates if passes else None, tips, now.contacts
+        limits = self.config.touch_latency, self.config.hold.resolution
+        since = self._late_touch.step(now.stamp, now.theta, *seen, self._period, *limits)
         ticks = (self._delay.ticks or 0) + (0.0 if self.config.midpoint_hold else 0.5)
         ahead = ticks * self._period * now.rates if passes else self._none
         if not (since + ahead).any():
             return now, tips
         then = tips._replace(positions=tips.positions - tips.linear @ since)
+        touch = now.contacts.positions, now.contacts.rotations
         contacts, theta = carried_along(then, *touch, since + ahead), now.theta + ahead
         now = now._replace(theta=theta, contacts=Contacts(*contacts))
         return now, self._fingers.fingertips(theta)
-
-    def _sampled(self, now: _Tick, tips: Fingertips, passes: bool) -> Array:
-        """Return the joint angles when a new sample was measured, shape (m,), rad."""
-        limits = self.config.touch_latency, self.config.hold.resolution
-        if passes and limits[0] > 0.0:
-            self._age.step(tips, now.rates, now.contacts, self._fingers.radii, *limits)
-        if self._age.age < 0.5 * self._period:
-            return now.theta
-        return self._angles_at(now.stamp - 1e9 * self._age.age)
-
-    def _angles_at(self, stamp: float) -> Array:
-        """Return the joint angles at a past time in ns, shape (m,), rad, or the oldest known."""
-        later = bisect.bisect_right(self._past, stamp, key=lambda past: past[0])
-        (since, before), (until, after) = self._past[max(0, later - 1)], self._past[later]
-        part = (stamp - since) / (until - since) if until > since else 0.0
-        return before + part * (after - before)
 
     def _law_torque(self, now: _Tick, tips: Fingertips, wanted: Target) -> LawTorque:
         """Return the torques of the law, without a drive where the grasp keeps its posture.
@@ -809,21 +784,6 @@ class Controller:
         if not self.config.midpoint_hold or last is None or dt <= 0.0:
             return torque
         return torque + 0.5 * self._period / dt * (torque - last)
-
-    def _bearable(self, parts: LawTorque, weight: Array) -> Array:
-        """Return the torques of a law and of the links' weight within the limits, (m,), N m.
-
-        Internal force and load come first and keep their direction, then the drive. Damping takes
-        the rest, joint by joint.
-        """
-        limits, carried = self.hand.effort_limits, parts.load_compensation + weight
-        fraction = bearable_fraction(parts.internal, carried, limits)
-        internal = parts.internal if fraction == 1.0 else fraction * parts.internal
-        torque = internal + carried
-        fraction = bearable_fraction(parts.drive, torque, limits)
-        drive = parts.drive if fraction == 1.0 else fraction * parts.drive
-        torque = torque + drive + parts.damping
-        return np.asarray(np.minimum(np.maximum(torque, -limits), limits))
 
     def _weight(self, theta: Array) -> Array:
         """Return the torques that carry the links, shape (m,), N m; zero without compensation."""

@@ -23,14 +23,14 @@ factor s that grows with the load on the tips, and a posture q(t) that comes to 
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 
-from tactile_hand_ros.compiled import Array, compiled
+from tactile_hand_ros.compiled import Array
 from tactile_hand_ros.config.model import Config, param
 from tactile_hand_ros.control.contact import Contacts, hand_jacobian, joint_torques
 from tactile_hand_ros.control.grasp import centered, grasp_map
+from tactile_hand_ros.control.laws import FittedGains
 from tactile_hand_ros.hand.hand import Dynamics, Fingertips, Hand
 
 _PHASE = 0.5  # w d: leaves 17 degrees of phase at the longest delay, 47 at half of it
@@ -39,152 +39,8 @@ _POSE_PHASE = 0.25  # loss of phase of the stiffness by the age of touch, and lo
 _SHAKE = 0.03  # of a finger's weight, by angle errors; the grasp force has 0.6 in reserve
 _MARGIN = 1.5  # of the stiffness over the buckling limit
 _MAX_OFFSET, _MAX_RATE = np.pi, 1e3  # rad and rad/s; keep the torque finite
-_WINDOW = 64  # number of angles; at rest their slope is one angle error over all of them
-_ROUNDING = 0.01  # of the error, so that angles one step apart count as a line
-_DELAY_TICKS = 64  # over which differences of torques are averaged
 _STEP = 1e-5  # of finite differences, rad
 _INDEPENDENT = 1e-9  # of the largest singular value; smaller ones are rounding
-
-
-class JointRates:
-    """Estimates rates over the longest window in which the angles lie on a line.
-
-    A filter with a fixed corner frequency turns each encoder step into a pulse of the rate, which
-    damping turns into a pulse of force. This window is long at rest and at constant speed, so that
-    a step counts for little. At an acceleration a it lasts about sqrt(8 e / a), with the error e.
-
-    Source: Janabi-Sharifi, Hayward, Chen, Discrete-time adaptive windowing for velocity estimation,
-    2000, the end-fit rule.
-
-    Attributes:
-        error: Largest error of the rates, an angle error over the window, shape (m,), rad/s.
-    """
-
-    def __init__(self, joints: int) -> None:
-        """Start without samples of m joints."""
-        self._angles = np.zeros((_WINDOW, joints))
-        self._times = np.zeros(_WINDOW)
-        self.reset()
-
-    def reset(self) -> None:
-        """Forget everything."""
-        self._count, self.error = 0, np.zeros(self._angles.shape[1])
-
-    def step(self, stamp: int, theta: Array, rates: Array, error: float) -> Array:
-        """Return the rates at a tick, shape (m,), rad/s.
-
-        Args:
-            stamp: The tick, ns.
-            theta: Joint angles, shape (m,), rad.
-            rates: Measured joint rates, shape (m,), rad/s; returned if angles are exact, and at the
-                first tick.
-            error: Largest error of an angle, rad; 0 for exact angles.
-        """
-        if error == 0.0:
-            return rates
-        time, before = 1e-9 * stamp, self._times[(self._count - 1) % _WINDOW]
-        if self._count and time <= before:  # the same tick again, or a restart
-            self._count = self._count - 1 if time == before else 0
-        self._times[self._count % _WINDOW], self._angles[self._count % _WINDOW] = time, theta
-        self._count += 1
-        if self._count == 1:
-            return rates
-        rates, lengths = _slopes(self._times, self._angles, self._count, (1.0 + _ROUNDING) * error)
-        self.error = error / lengths
-        return rates
-
-
-class TorqueDelay:
-    """Finds after how many ticks the joints apply a torque.
-
-    Changes of the reported torques are compared with changes of the sent ones, so that an offset
-    does not count. Where noise hides them, or joints report no torques, the delay stays unknown.
-
-    Attributes:
-        ticks: The delay, 0 if a torque acts until the next tick; None if unknown.
-    """
-
-    def __init__(self, largest: int, joints: int) -> None:
-        """Start without a delay; `largest` is the largest possible one, in ticks, of m joints."""
-        self.ticks: int | None = None
-        self._differences = np.zeros(largest + 1)
-        self._sent = np.zeros((largest + 2, joints))  # the newest first
-        self.pause()
-
-    @property
-    def allowed(self) -> int:
-        """The delay to allow for, in ticks: the largest one if it is unknown."""
-        return len(self._differences) - 1 if self.ticks is None else self.ticks
-
-    def pause(self) -> None:
-        """Forget what was sent, before other torques act; the delay remains."""
-        self._count = 0
-        self._applied: Array | None = None
-
-    def step(self, applied: Array | None) -> None:
-        """Compare torques that acted since the last tick, shape (m,), N m; None if unknown."""
-        before, self._applied = self._applied, applied
-        if before is None or applied is None or self._count < len(self._sent):
-            return
-        best = _best_delay(self._sent, applied - before, self._differences)
-        if best >= 0:
-            self.ticks = best
-
-    def sent(self, torque: Array) -> None:
-        """Record the torque that answers this tick, shape (m,), N m."""
-        self._sent[1:] = self._sent[:-1]
-        self._sent[0] = torque
-        self._count += 1
-
-
-@compiled
-def _best_delay(sent: Array, change: Array, differences: Array) -> int:
-    """Update the mean squared differences, shape (n,); return the delay that fits best.
-
-    It is -1 unless it fits twice as well as any other.
-
-    Args:
-        sent: Sent torques, the newest first, shape (n + 1, m), N m.
-        change: Change of the reported torques, shape (m,), N m.
-        differences: Between that change and those of the sent ones, by delay, N^2 m^2.
-    """
-    for n in range(len(differences)):
-        total = 0.0
-        for j in range(len(change)):
-            away = sent[n, j] - sent[n + 1, j] - change[j]
-            total += away * away
-        differences[n] += (total - differences[n]) / _DELAY_TICKS
-    best = int(np.argmin(differences))
-    for n in range(len(differences)):
-        if n != best and not differences[best] < 0.5 * differences[n]:
-            return -1
-    return best
-
-
-@compiled
-def _slopes(times: Array, angles: Array, count: int, error: float) -> tuple[Array, Array]:
-    """Return slopes, rad/s, and durations, s, of the longest lines, each of shape (m,).
-
-    Args:
-        times: Ring of times, shape (n,), s.
-        angles: Ring of angles, shape (n, m), rad.
-        count: Number of samples ever written; the last is the newest.
-        error: Largest error of an angle, rad.
-    """
-    n, newest = len(times), (count - 1) % len(times)
-    slopes, lengths = np.zeros(angles.shape[1]), np.zeros(angles.shape[1])
-    for joint in range(angles.shape[1]):
-        low, high = -np.inf, np.inf  # slopes within the error of all angles so far
-        for back in range(1, min(count, n)):
-            at = (count - 1 - back) % n
-            passed = times[newest] - times[at]
-            moved = angles[newest, joint] - angles[at, joint]
-            if not low <= moved / passed <= high:
-                break
-            slopes[joint], lengths[joint] = moved / passed, passed
-            low = max(low, (moved - error) / passed)
-            high = min(high, (moved + error) / passed)
-    return slopes, lengths
 
 
 def stiffest(hand: Hand, inertia: Array, tick: float, late: float, error: float) -> float:
@@ -254,31 +110,6 @@ def required_bandwidth(
     joints = motions[:m]
     inertia = joints.T @ hand.dynamics(theta, np.zeros(m)).inertia @ joints
     return math.sqrt(_MARGIN * max(0.0, -_minimum_ratio(0.5 * (stiffness + stiffness.T), inertia)))
-
-
-class FittedGains(NamedTuple):
-    """Gains that fit a hand and its grasp; see `fitted_gains`.
-
-    Attributes:
-        rest: K_c of rates that do not move the object, shape (m, m), N m s/rad.
-        damping: K_c of rates that do, per rad/s of bandwidth, shape (m, m), N m s/rad.
-        stiffness: K_p per rad/s of bandwidth, shape (6, 6), N/m and N m/rad.
-        needed: Bandwidth that k_f needs, rad/s per N.
-        quietest: Bandwidth up to which angle errors may shake the hand at any k_f, rad/s.
-        largest: Bandwidth up to which held and late torques damp, rad/s.
-    """
-
-    rest: Array
-    damping: Array
-    stiffness: Array
-    needed: float
-    quietest: float
-    largest: float
-
-    def at(self, grasp_force: float) -> tuple[Array, Array]:
-        """Return K_c, shape (m, m), N m s/rad, and K_p, shape (6, 6), of a k_f in N."""
-        w = min(self.largest, max(self.quietest, self.needed * grasp_force))
-        return self.rest + w * self.damping, w * self.stiffness
 
 
 def fitted_gains(
@@ -415,29 +246,6 @@ def _minimum_ratio(a: Array, b: Array) -> float:
         return math.inf
     root = np.linalg.cholesky(b)
     return float(np.linalg.eigvalsh(np.linalg.solve(root, np.linalg.solve(root, a).T))[0])
-
-
-@compiled
-def bearable_fraction(part: Array, rest: Array, limits: Array) -> float:
-    """Return the largest s for which |s part + rest| stays within the effort limits.
-
-    If a single joint stayed at its limit, the internal force would no longer balance and would push
-    the object away. The same fraction in all joints keeps the balance.
-
-    Args:
-        part: Torque of the internal force, or of the drive, shape (m,), N m.
-        rest: All other torque, shape (m,), N m.
-        limits: Effort limits of the joints, shape (m,), N m.
-
-    Returns:
-        From 0 to 1; 1 if the limits allow the full torque.
-    """
-    fraction = 1.0
-    for i in range(len(limits)):
-        if abs(part[i] + rest[i]) > limits[i] and part[i] != 0.0:
-            room = limits[i] - np.sign(part[i]) * rest[i]
-            fraction = min(fraction, room / abs(part[i]))
-    return max(fraction, 0.0)
 
 
 class GuardHoldConfig(Config):

@@ -11,11 +11,10 @@ from typing import NamedTuple, Protocol
 import numpy as np
 from pydantic import field_validator, model_validator
 
-from tactile_hand_ros.compiled import Array
+from tactile_hand_ros.compiled import Array, compiled
 from tactile_hand_ros.config.model import Config, param
 from tactile_hand_ros.control.contact import Contacts, centroid, in_palm, joint_torques
 from tactile_hand_ros.control.grasp import VirtualFrame, pose_error, wrench_forces
-from tactile_hand_ros.control.holds import FittedGains
 from tactile_hand_ros.control.loads import LoadObserver, ObserverConfig, limit_wrench
 from tactile_hand_ros.errors import ConfigurationError, nearest
 from tactile_hand_ros.hand.hand import Fingertips
@@ -164,6 +163,69 @@ class LawTorque(NamedTuple):
     def total(self) -> Array:
         """The torque of the law, shape (m,), N m."""
         return self.internal + self.load_compensation + self.drive + self.damping
+
+    def within(self, limits: Array, weight: Array) -> Array:
+        """Return the torque with that of the links' weight within effort limits, (m,), N m.
+
+        Internal force and load come first and keep their direction, then the drive. Damping takes
+        the rest, joint by joint. All have the shape (m,), N m.
+        """
+        carried = self.load_compensation + weight
+        fraction = bearable_fraction(self.internal, carried, limits)
+        internal = self.internal if fraction == 1.0 else fraction * self.internal
+        torque = internal + carried
+        fraction = bearable_fraction(self.drive, torque, limits)
+        drive = self.drive if fraction == 1.0 else fraction * self.drive
+        torque = torque + drive + self.damping
+        return np.asarray(np.minimum(np.maximum(torque, -limits), limits))
+
+
+@compiled
+def bearable_fraction(part: Array, rest: Array, limits: Array) -> float:
+    """Return the largest s for which |s part + rest| stays within the effort limits.
+
+    If a single joint stayed at its limit, the internal force would no longer balance and would push
+    the object away. The same fraction in all joints keeps the balance.
+
+    Args:
+        part: Torque of the internal force, or of the drive, shape (m,), N m.
+        rest: All other torque, shape (m,), N m.
+        limits: Effort limits of the joints, shape (m,), N m.
+
+    Returns:
+        From 0 to 1; 1 if the limits allow the full torque.
+    """
+    fraction = 1.0
+    for i in range(len(limits)):
+        if abs(part[i] + rest[i]) > limits[i] and part[i] != 0.0:
+            room = limits[i] - np.sign(part[i]) * rest[i]
+            fraction = min(fraction, room / abs(part[i]))
+    return max(fraction, 0.0)
+
+
+class FittedGains(NamedTuple):
+    """Gains that fit a hand and its grasp; see `holds.fitted_gains`.
+
+    Attributes:
+        rest: K_c of rates that do not move the object, shape (m, m), N m s/rad.
+        damping: K_c of rates that do, per rad/s of bandwidth, shape (m, m), N m s/rad.
+        stiffness: K_p per rad/s of bandwidth, shape (6, 6), N/m and N m/rad.
+        needed: Bandwidth that k_f needs, rad/s per N.
+        quietest: Bandwidth up to which angle errors may shake the hand at any k_f, rad/s.
+        largest: Bandwidth up to which held and late torques damp, rad/s.
+    """
+
+    rest: Array
+    damping: Array
+    stiffness: Array
+    needed: float
+    quietest: float
+    largest: float
+
+    def at(self, grasp_force: float) -> tuple[Array, Array]:
+        """Return K_c, shape (m, m), N m s/rad, and K_p, shape (6, 6), of a k_f in N."""
+        w = min(self.largest, max(self.quietest, self.needed * grasp_force))
+        return self.rest + w * self.damping, w * self.stiffness
 
 
 class LawInput(NamedTuple):

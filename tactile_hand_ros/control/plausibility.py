@@ -17,8 +17,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_hand_ros.compiled import Array, compiled
-from tactile_hand_ros.control.contact import OFF_TIP, Contacts, in_palm, joint_torques
+from tactile_hand_ros.compiled import Array
+from tactile_hand_ros.control.contact import OFF_TIP, Contacts, in_palm, joint_torques, tip_gaps
 from tactile_hand_ros.hand.hand import Dynamics, Fingertips, Hand
 from tactile_hand_ros.rotations import vector_from_rotation
 
@@ -32,7 +32,7 @@ def implausible_touch(tips: Fingertips, contacts: Contacts, radii: Array, allowe
     All fingers touch. Their radii and the largest distances of the contacts from their tips have
     the shape (k,), m.
     """
-    off = contacts.positions - tips.positions - radii[:, None] * contacts.normals
+    off = tip_gaps(tips, contacts, radii)
     gaps = np.sqrt((off * off).sum(axis=1))
     if (gaps <= allowed).all():
         return ""
@@ -55,7 +55,6 @@ _TURN_TIME = 0.01  # s over which rates of a turning palm are averaged
 _SPREAD = 0.02  # of the torques of all fingers that may appear in one, by object and model
 _FROZEN_FRACTION = 0.05  # change of a finger's torques that changes the force of any skin
 _FINE_FRACTION = 0.01  # the same for a skin with known steps
-_AGE_SAMPLES = 64  # over which the age of touch is averaged
 _STEPS = 3.0  # smallest change that counts for a skin with steps, in steps
 
 
@@ -215,94 +214,6 @@ class ForceTorqueCheck:
                 if change > self._noise[i] + shown:
                     return True
         return False
-
-
-class TouchAge:
-    """Finds how old the contact points are, while the joints move.
-
-    A contact that was measured a time a ago is off its fingertip by -a J_f theta'. This is a linear
-    regression of gaps on tip speeds. Its intercepts are the errors of hand and skin; noise pulls
-    the age towards 0. Motions too slow for a gap beyond the error of the angles show nothing.
-
-    Attributes:
-        age: The age, 0 until it is known, s.
-    """
-
-    def __init__(self, fingers: int) -> None:
-        """Start without samples of k fingers."""
-        self._means, self._moments = np.zeros((2, fingers, 3)), np.zeros(3)
-        self.age = 0.0
-
-    def step(
-        self,
-        tips: Fingertips,
-        rates: Array,
-        contacts: Contacts,
-        radii: Array,
-        largest: float,
-        error: float,
-    ) -> None:
-        """Learn from a new sample of the skin.
-
-        Args:
-            tips: Fingertip centers and Jacobians.
-            rates: Joint rates, shape (m,), rad/s.
-            contacts: Contacts; all fingers touch.
-            radii: Radii of the fingertips, shape (k,), m.
-            largest: Largest possible age, s.
-            error: Largest error of an angle, rad.
-        """
-        gaps = contacts.positions - tips.positions - radii[:, None] * contacts.normals
-        memory = self._means, self._moments
-        if _regress(tips.linear, rates, gaps, *memory, largest, error):
-            speed, gap, both = self._moments
-            spread = speed + gap / (_AGE_SAMPLES * largest * largest)
-            self.age = min(max(-both / spread, 0.0), largest) if spread > 0.0 else 0.0
-
-
-@compiled
-def _regress(
-    linear: Array,
-    rates: Array,
-    gaps: Array,
-    means: Array,
-    moments: Array,
-    largest: float,
-    error: float,
-) -> bool:
-    """Add a sample, and return whether its speeds may show an age.
-
-    Args:
-        linear: Jacobians J_f of the fingertips, shape (k, 3, m), m/rad.
-        rates: Joint rates, shape (m,), rad/s.
-        gaps: Contacts less the points p_f + r n of the fingertips, shape (k, 3), m.
-        means: Of speeds and gaps, shape (2, k, 3); updated.
-        moments: Variances of speeds and gaps, and their covariance, shape (3,); updated.
-        largest: Largest possible age, s.
-        error: Largest error of an angle, rad.
-    """
-    speeds, shown, hidden = np.zeros(gaps.shape), 0.0, 0.0
-    for i in range(len(gaps)):
-        for axis in range(3):
-            lever = 0.0
-            for j in range(len(rates)):
-                speeds[i, axis] += linear[i, axis, j] * rates[j]
-                lever += abs(linear[i, axis, j])
-            shown += (largest * speeds[i, axis]) ** 2
-            hidden += (error * lever) ** 2
-    if shown <= hidden:
-        return False
-    fraction = 1.0 / _AGE_SAMPLES
-    for i in range(len(gaps)):
-        for axis in range(3):
-            speed, gap = speeds[i, axis] - means[0, i, axis], gaps[i, axis] - means[1, i, axis]
-            means[0, i, axis] += fraction * speed
-            means[1, i, axis] += fraction * gap
-            moments[0] += fraction * speed * speed
-            moments[1] += fraction * gap * gap
-            moments[2] += fraction * speed * gap
-    moments *= 1.0 - fraction
-    return True
 
 
 class InputCheck:

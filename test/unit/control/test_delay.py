@@ -4,7 +4,7 @@
 import numpy as np
 import pytest
 
-from tactile_hand_ros.control.holds import TorqueDelay
+from tactile_hand_ros.control.sensing import TorqueDelay
 
 OFFSET = np.array([0.3, -0.2, 0.1])  # of the reported torques, N m
 

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tactile_hand_ros.control.holds import bearable_fraction
+from tactile_hand_ros.control.laws import bearable_fraction
 
 TORQUES = st.lists(st.floats(-60.0, 60.0), min_size=9, max_size=9).map(np.array)
 

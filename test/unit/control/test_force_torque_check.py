@@ -8,8 +8,8 @@ from hypothesis import strategies as st
 from support.plants import plant
 
 from tactile_hand_ros.control.contact import Contacts, in_palm, joint_torques
-from tactile_hand_ros.control.holds import JointRates
 from tactile_hand_ros.control.plausibility import ForceTorqueCheck, Tolerances
+from tactile_hand_ros.control.sensing import JointRates
 from tactile_hand_ros.hand.hand import Hand
 from tactile_hand_ros.rotations import rotation_from_vector
 from tactile_hand_ros.simulation.joint_sensor import EncoderConfig, JointSensor

@@ -4,7 +4,7 @@
 import numpy as np
 import pytest
 
-from tactile_hand_ros.control.holds import JointRates
+from tactile_hand_ros.control.sensing import JointRates
 
 STEP = 2.0 * np.pi / 2**14
 TICK = 1_000_000  # ns

@@ -7,9 +7,9 @@ from support.equations import grasp_map, hand_jacobian, rotation_error
 from support.grasps import moved
 
 from tactile_hand_ros.control.contact import Contacts, contact_frame
-from tactile_hand_ros.control.holds import FittedGains
 from tactile_hand_ros.control.laws import (
     LAWS,
+    FittedGains,
     LawConfig,
     ManipulationLaw,
     NormalForceControl,

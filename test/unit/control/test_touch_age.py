@@ -8,7 +8,7 @@ from support.plants import plant
 
 from tactile_hand_ros.control.contact import Contacts
 from tactile_hand_ros.control.grasp import carried_along
-from tactile_hand_ros.control.plausibility import TouchAge
+from tactile_hand_ros.control.sensing import TouchAge
 
 HAND, START = plant().hand, plant().state.theta
 LARGEST, ERROR, TICK = 0.03, 1e-4, 0.002  # s, rad, s

@@ -1,0 +1,307 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the sensors of a hand leave open: joint rates, and how late torques and touch are.
+
+Encoders have steps, drivers apply a torque some ticks later, and a skin is late, too. All three are
+found while the hand works.
+"""
+
+from __future__ import annotations
+
+import bisect
+from collections import deque
+
+import numpy as np
+
+from tactile_hand_ros.compiled import Array, compiled
+from tactile_hand_ros.control.contact import Contacts, tip_gaps
+from tactile_hand_ros.hand.hand import Fingertips, Hand
+
+_WINDOW = 64  # number of angles; at rest their slope is one angle error over all of them
+_ROUNDING = 0.01  # of the error, so that angles one step apart count as a line
+_DELAY_TICKS = 64  # over which differences of torques are averaged
+_AGE_SAMPLES = 64  # over which the age of touch is averaged
+
+
+class JointRates:
+    """Estimates rates over the longest window in which the angles lie on a line.
+
+    A filter with a fixed corner frequency turns each encoder step into a pulse of the rate, which
+    damping turns into a pulse of force. This window is long at rest and at constant speed, so that
+    a step counts for little. At an acceleration a it lasts about sqrt(8 e / a), with the error e.
+
+    Source: Janabi-Sharifi, Hayward, Chen, Discrete-time adaptive windowing for velocity estimation,
+    2000, the end-fit rule.
+
+    Attributes:
+        error: Largest error of the rates, an angle error over the window, shape (m,), rad/s.
+    """
+
+    def __init__(self, joints: int) -> None:
+        """Start without samples of m joints."""
+        self._angles = np.zeros((_WINDOW, joints))
+        self._times = np.zeros(_WINDOW)
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget everything."""
+        self._count, self.error = 0, np.zeros(self._angles.shape[1])
+
+    def step(self, stamp: int, theta: Array, rates: Array, error: float) -> Array:
+        """Return the rates at a tick, shape (m,), rad/s.
+
+        Args:
+            stamp: The tick, ns.
+            theta: Joint angles, shape (m,), rad.
+            rates: Measured joint rates, shape (m,), rad/s; returned if angles are exact, and at the
+                first tick.
+            error: Largest error of an angle, rad; 0 for exact angles.
+        """
+        if error == 0.0:
+            return rates
+        time, before = 1e-9 * stamp, self._times[(self._count - 1) % _WINDOW]
+        if self._count and time <= before:  # the same tick again, or a restart
+            self._count = self._count - 1 if time == before else 0
+        self._times[self._count % _WINDOW], self._angles[self._count % _WINDOW] = time, theta
+        self._count += 1
+        if self._count == 1:
+            return rates
+        rates, lengths = _slopes(self._times, self._angles, self._count, (1.0 + _ROUNDING) * error)
+        self.error = error / lengths
+        return rates
+
+
+class TorqueDelay:
+    """Finds after how many ticks the joints apply a torque.
+
+    Changes of the reported torques are compared with changes of the sent ones, so that an offset
+    does not count. Where noise hides them, or joints report no torques, the delay stays unknown.
+
+    Attributes:
+        ticks: The delay, 0 if a torque acts until the next tick; None if unknown.
+    """
+
+    def __init__(self, largest: int, joints: int) -> None:
+        """Start without a delay; `largest` is the largest possible one, in ticks, of m joints."""
+        self.ticks: int | None = None
+        self._differences = np.zeros(largest + 1)
+        self._sent = np.zeros((largest + 2, joints))  # the newest first
+        self.pause()
+
+    @property
+    def allowed(self) -> int:
+        """The delay to allow for, in ticks: the largest one if it is unknown."""
+        return len(self._differences) - 1 if self.ticks is None else self.ticks
+
+    def pause(self) -> None:
+        """Forget what was sent, before other torques act; the delay remains."""
+        self._count = 0
+        self._applied: Array | None = None
+
+    def step(self, applied: Array | None) -> None:
+        """Compare torques that acted since the last tick, shape (m,), N m; None if unknown."""
+        before, self._applied = self._applied, applied
+        if before is None or applied is None or self._count < len(self._sent):
+            return
+        best = _best_delay(self._sent, applied - before, self._differences)
+        if best >= 0:
+            self.ticks = best
+
+    def sent(self, torque: Array) -> None:
+        """Record the torque that answers this tick, shape (m,), N m."""
+        self._sent[1:] = self._sent[:-1]
+        self._sent[0] = torque
+        self._count += 1
+
+
+@compiled
+def _best_delay(sent: Array, change: Array, differences: Array) -> int:
+    """Update the mean squared differences, shape (n,); return the delay that fits best.
+
+    It is -1 unless it fits twice as well as any other.
+
+    Args:
+        sent: Sent torques, the newest first, shape (n + 1, m), N m.
+        change: Change of the reported torques, shape (m,), N m.
+        differences: Between that change and those of the sent ones, by delay, N^2 m^2.
+    """
+    for n in range(len(differences)):
+        total = 0.0
+        for j in range(len(change)):
+            away = sent[n, j] - sent[n + 1, j] - change[j]
+            total += away * away
+        differences[n] += (total - differences[n]) / _DELAY_TICKS
+    best = int(np.argmin(differences))
+    for n in range(len(differences)):
+        if n != best and not differences[best] < 0.5 * differences[n]:
+            return -1
+    return best
+
+
+@compiled
+def _slopes(times: Array, angles: Array, count: int, error: float) -> tuple[Array, Array]:
+    """Return slopes, rad/s, and durations, s, of the longest lines, each of shape (m,).
+
+    Args:
+        times: Ring of times, shape (n,), s.
+        angles: Ring of angles, shape (n, m), rad.
+        count: Number of samples ever written; the last is the newest.
+        error: Largest error of an angle, rad.
+    """
+    n, newest = len(times), (count - 1) % len(times)
+    slopes, lengths = np.zeros(angles.shape[1]), np.zeros(angles.shape[1])
+    for joint in range(angles.shape[1]):
+        low, high = -np.inf, np.inf  # slopes within the error of all angles so far
+        for back in range(1, min(count, n)):
+            at = (count - 1 - back) % n
+            passed = times[newest] - times[at]
+            moved = angles[newest, joint] - angles[at, joint]
+            if not low <= moved / passed <= high:
+                break
+            slopes[joint], lengths[joint] = moved / passed, passed
+            low = max(low, (moved - error) / passed)
+            high = min(high, (moved + error) / passed)
+    return slopes, lengths
+
+
+class TouchAge:
+    """Finds how old the contact points are, while the joints move.
+
+    A contact that was measured a time a ago is off its fingertip by -a J_f theta'. This is a linear
+    regression of gaps on tip speeds. Its intercepts are the errors of hand and skin; noise pulls
+    the age towards 0. Motions too slow for a gap beyond the error of the angles show nothing.
+
+    Attributes:
+        age: The age, 0 until it is known, s.
+    """
+
+    def __init__(self, fingers: int) -> None:
+        """Start without samples of k fingers."""
+        self._means, self._moments = np.zeros((2, fingers, 3)), np.zeros(3)
+        self.age = 0.0
+
+    def step(
+        self,
+        tips: Fingertips,
+        rates: Array,
+        contacts: Contacts,
+        radii: Array,
+        largest: float,
+        error: float,
+    ) -> None:
+        """Learn from a new sample of the skin.
+
+        Args:
+            tips: Fingertip centers and Jacobians.
+            rates: Joint rates, shape (m,), rad/s.
+            contacts: Contacts; all fingers touch.
+            radii: Radii of the fingertips, shape (k,), m.
+            largest: Largest possible age, s.
+            error: Largest error of an angle, rad.
+        """
+        gaps = tip_gaps(tips, contacts, radii)
+        memory = self._means, self._moments
+        if _regress(tips.linear, rates, gaps, *memory, largest, error):
+            speed, gap, both = self._moments
+            spread = speed + gap / (_AGE_SAMPLES * largest * largest)
+            self.age = min(max(-both / spread, 0.0), largest) if spread > 0.0 else 0.0
+
+
+@compiled
+def _regress(
+    linear: Array,
+    rates: Array,
+    gaps: Array,
+    means: Array,
+    moments: Array,
+    largest: float,
+    error: float,
+) -> bool:
+    """Add a sample, and return whether its speeds may show an age.
+
+    Args:
+        linear: Jacobians J_f of the fingertips, shape (k, 3, m), m/rad.
+        rates: Joint rates, shape (m,), rad/s.
+        gaps: Contacts less the points p_f + r n of the fingertips, shape (k, 3), m.
+        means: Of speeds and gaps, shape (2, k, 3); updated.
+        moments: Variances of speeds and gaps, and their covariance, shape (3,); updated.
+        largest: Largest possible age, s.
+        error: Largest error of an angle, rad.
+    """
+    speeds, shown, hidden = np.zeros(gaps.shape), 0.0, 0.0
+    for i in range(len(gaps)):
+        for axis in range(3):
+            lever = 0.0
+            for j in range(len(rates)):
+                speeds[i, axis] += linear[i, axis, j] * rates[j]
+                lever += abs(linear[i, axis, j])
+            shown += (largest * speeds[i, axis]) ** 2
+            hidden += (error * lever) ** 2
+    if shown <= hidden:
+        return False
+    fraction = 1.0 / _AGE_SAMPLES
+    for i in range(len(gaps)):
+        for axis in range(3):
+            speed, gap = speeds[i, axis] - means[0, i, axis], gaps[i, axis] - means[1, i, axis]
+            means[0, i, axis] += fraction * speed
+            means[1, i, axis] += fraction * gap
+            moments[0] += fraction * speed * speed
+            moments[1] += fraction * gap * gap
+            moments[2] += fraction * speed * gap
+    moments *= 1.0 - fraction
+    return True
+
+
+class LateTouch:
+    """Finds how far the joints moved since the contact points of a tick were measured.
+
+    A skin is late, and a slow one repeats its samples.
+    """
+
+    def __init__(self, hand: Hand) -> None:
+        """Start without samples of a hand."""
+        self._radii = hand.radii
+        self._age = TouchAge(hand.fingers)
+        self._past: deque[tuple[int, Array]] = deque()  # ticks, ns, and their joint angles, rad
+        # Contact points, m, and the joint angles when they were measured, rad.
+        self._sample: tuple[Array, Array] | None = None
+
+    def step(
+        self,
+        stamp: int,
+        theta: Array,
+        rates: Array | None,
+        tips: Fingertips,
+        contacts: Contacts,
+        tick: float,
+        largest: float,
+        error: float,
+    ) -> Array:
+        """Return the motion of the joints since then, shape (m,), rad.
+
+        Args:
+            stamp: The tick, ns.
+            theta: Joint angles, shape (m,), rad.
+            rates: Joint rates, shape (m,), rad/s; None to learn nothing from this tick.
+            tips: Fingertip centers and Jacobians.
+            contacts: Contacts; all fingers touch.
+            tick: Time between ticks, s. Contacts younger than half of it are new.
+            largest: Largest possible age, s.
+            error: Largest error of an angle, rad.
+        """
+        self._past.append((stamp, theta))
+        while self._past[0][0] < stamp - 1e9 * largest:
+            self._past.popleft()
+        if self._sample is None or (contacts.positions != self._sample[0]).any():
+            if rates is not None and largest > 0.0:
+                self._age.step(tips, rates, contacts, self._radii, largest, error)
+            age = self._age.age
+            then = theta if age < 0.5 * tick else self._angles_at(stamp - 1e9 * age)
+            self._sample = contacts.positions, then
+        return theta - self._sample[1]
+
+    def _angles_at(self, stamp: float) -> Array:
+        """Return the joint angles at a past time in ns, shape (m,), rad, or the oldest known."""
+        later = bisect.bisect_right(self._past, stamp, key=lambda past: past[0])
+        (since, before), (until, after) = self._past[max(0, later - 1)], self._past[later]
+        part = (stamp - since) / (until - since) if until > since else 0.0
+        return before + part * (after - before)
