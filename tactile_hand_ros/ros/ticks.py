@@ -74,6 +74,16 @@ class StampMatcher:
         values = self.pending.get(stamp_ns)
         return [] if values is None else [key for key in self.keys if key not in values]
 
+    def rarest(self) -> list[str]:
+        """Return the keys that fewest pending timestamps have, or one more than that.
+
+        A sender that died while it sent has one more of what it sends first, and one that is slow
+        has more than one that is silent.
+        """
+        counts = [sum(key in values for values in self.pending.values()) for key in self.keys]
+        limit = min(min(counts) + 1, max(counts) - 1)
+        return [key for key, count in zip(self.keys, counts, strict=True) if count <= limit]
+
 
 _NUMBER = "publication_sequence_number"
 
@@ -287,9 +297,7 @@ class TickInputs:
             since, first = self._alone_since
             if min(now - since, stamp - first) < self._timeout:
                 return
-            # The oldest may lack less, if a node died while it sent, and the newest lacks all.
-            waiting = list(self._matcher.pending)
-            missing = ", ".join(self._matcher.missing(waiting[len(waiting) // 2]))
+            missing = ", ".join(self._matcher.rarest())
             self._reason = f"no {missing}; holding the hand until all inputs are back"
             self._node.diagnostics.fault("inputs", self._reason)
         self._answered_blindly = stamp

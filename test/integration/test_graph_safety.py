@@ -83,7 +83,7 @@ def effort(graph: Graph, torque: float) -> JointState:
     return message
 
 
-MISSED = {"tactile_sensor": "no tactile/contacts", "slip_regulator": "no grasp_force"}
+MISSED = {"tactile_sensor": "tactile/contacts", "slip_regulator": "grasp_force"}
 
 
 @pytest.mark.parametrize("victim", MISSED)

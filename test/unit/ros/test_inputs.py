@@ -223,6 +223,16 @@ def test_what_is_missing_is_named_also_where_the_trigger_comes_first(ear):
     assert ear.fault == "no grasp_force; holding the hand until all inputs are back"
 
 
+def test_only_what_is_silent_is_named_where_the_others_come_late(ear):
+    """As on a busy machine: touch comes for one tick in five, 0.3 s late."""
+    for stamp in range(0, 508, 4):
+        ear.joints(stamp)
+        if stamp >= 300 and stamp % 20 == 0:
+            ear.others(stamp - 300, without=names.GRASP_FORCE)
+        ear.now += 4 * MS
+    assert ear.fault == "no grasp_force; holding the hand until all inputs are back"
+
+
 def test_all_that_is_missing_is_named_where_a_node_died_while_it_sent(ear):
     """Some inputs of the oldest tick have arrived; those that follow lack more."""
     ear.joints(0)
