@@ -41,8 +41,8 @@ class TactileSensorNode(TactileNode[TactileSensorConfig]):
     frame, m; NaN for fingers without contact), `tactile/<finger>/wrench`
     (geometry_msgs/WrenchStamped in `<finger>_contact`, N). Once a second: `/diagnostics`.
 
-    Parameters: the fields of `TactileSensorConfig`; noise, resolution, vibration and dropout are
-    live. When the timestamps jump back, noise restarts from its seed.
+    Parameters: the fields of `TactileSensorConfig`; noise, resolution, vibration, dropout
+    and faults are live. When the timestamps jump back, noise restarts from its seed.
     """
 
     def __init__(self, *, composed: bool = False, **kwargs: Any) -> None:
@@ -54,6 +54,7 @@ class TactileSensorNode(TactileNode[TactileSensorConfig]):
         super().__init__("tactile_sensor", TactileSensorConfig, **kwargs)
         hand = load_hand_config(self.config.hand)
         fingers = hand.finger_names
+        self._fingers = len(fingers)
         declared: tuple[streams.Stream, ...] = (
             streams.true_contacts(len(fingers)),
             streams.true_sliding(fingers),
@@ -79,8 +80,16 @@ class TactileSensorNode(TactileNode[TactileSensorConfig]):
         self._sensor.step(0, touch, np.zeros(fingers))
         self._sensor.reset()
 
+    def check_config(self, config: TactileSensorConfig) -> None:
+        """Check that the faults fit the number of fingers.
+
+        Raises:
+            ConfigurationError: If they do not.
+        """
+        config.check_faults(self._fingers)
+
     def on_config(self, config: TactileSensorConfig) -> None:
-        """Apply changed noise."""
+        """Apply changed noise and faults."""
         self._sensor.configure(config)
 
     def on_restart(self) -> None:

@@ -8,10 +8,12 @@ from collections import deque
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tactile_hand_ros.compiled import Array, Row, Rows, compiled, row_of
 from tactile_hand_ros.config.model import Config, param
 from tactile_hand_ros.control.contact import Contacts, contact_frame, in_palm
+from tactile_hand_ros.errors import ConfigurationError
 from tactile_hand_ros.rotations import (
     Vector,
     quaternion_from_rotation,
@@ -98,10 +100,29 @@ class TactileSensorConfig(Config):
     dropout: float = param(
         0.0, "chance of a repeated sample, per finger", live=True, ge=0.0, le=1.0
     )
+    faults: list[Literal["none", "off", "stuck", "wrong"]] = param(
+        [],
+        "fault of each finger, empty for none: off reports no contact, stuck repeats its last "
+        "sample, wrong shows three times the force",
+        live=True,
+    )
     axes: Literal["all", "normal"] = param(
         "all", "components of a force that it measures; the others are NaN"
     )
     seed: int = param(1, "seed of everything random", ge=0)
+
+    def check_faults(self, fingers: int) -> None:
+        """Check that each of k fingers has a fault, or none has.
+
+        Raises:
+            ConfigurationError: Otherwise.
+        """
+        if len(self.faults) not in (0, fingers):
+            raise ConfigurationError(
+                f"faults = {self.faults}: expected one of none, off, stuck and wrong for each of "
+                f"{fingers} fingers, or an empty list",
+                place="faults",
+            )
 
 
 class TactileReading(NamedTuple):
@@ -148,6 +169,8 @@ def miscalibrated(
     )
 
 
+_WRONG = 3.0  # factor of the forces of a wrong finger; measured and true ones differ clearly
+
 _MEMORY = np.dtype(
     [
         ("bias", np.float64, 3),  # drifted zero of the force
@@ -171,6 +194,9 @@ class TactileSensor:
         """Build the skin of fingertips with radii, shape (k,), m.
 
         The model of the controllers is only needed with a wrong calibration.
+
+        Raises:
+            ConfigurationError: If the faults do not fit the number of fingers.
         """
         self._radii = np.asarray(radii, dtype=float)
         self._model = None if config.calibration.is_right else model
@@ -179,7 +205,12 @@ class TactileSensor:
         self.reset()
 
     def configure(self, config: TactileSensorConfig) -> None:
-        """Change the noise while running; seed, rate, latency and filters stay."""
+        """Change noise and faults while running; seed, rate, latency and filters stay.
+
+        Raises:
+            ConfigurationError: If the faults do not fit the number of fingers.
+        """
+        config.check_faults(len(self._radii))
         self.config = config
         self._numbers = row_of(config)
 
@@ -246,12 +277,30 @@ class TactileSensor:
         reading = TactileReading(*measured)
         last = self._waiting[-1][1] if self._waiting else self._held
         if last is not None and self.config.dropout > 0.0:
-            lost = (draws < self.config.dropout)[:, None]
-            pairs = zip(last, measured, strict=True)
-            reading = TactileReading(*(np.where(lost, *pair) for pair in pairs))
+            reading = _kept(draws < self.config.dropout, last, reading)
+        if self.config.faults:
+            reading = _spoiled(np.array(self.config.faults), last, reading)
         if self.config.axes == "normal":
             reading.forces[:, ::2] = np.nan
         return reading
+
+
+def _kept(chosen: NDArray[np.bool_], last: TactileReading, new: TactileReading) -> TactileReading:
+    """Return a new sample in which the chosen fingers, a mask of shape (k,), repeat the last."""
+    pairs = zip(last, new, strict=True)
+    return TactileReading(*(np.where(chosen[:, None], *pair) for pair in pairs))
+
+
+def _spoiled(
+    faults: NDArray[np.str_], last: TactileReading | None, new: TactileReading
+) -> TactileReading:
+    """Return a new sample with the faults of the fingers, shape (k,)."""
+    off, wrong = faults == "off", faults == "wrong"
+    spoiled = new._replace(
+        positions=np.where(off[:, None], np.nan, new.positions),
+        forces=np.where(off, 0.0, np.where(wrong, _WRONG, 1.0))[:, None] * new.forces,
+    )
+    return spoiled if last is None else _kept(faults == "stuck", last, spoiled)
 
 
 @compiled

@@ -46,6 +46,16 @@ def test_noise_is_live_and_repeats_when_the_ticks_start_over(here):
     assert all(messages[-1] == messages[-2] for messages in sent.values()) and len(sent) == 4
 
 
+def test_the_faults_of_fingers_are_live_if_they_are_as_many(here):
+    node = here.make(TactileSensorNode)
+    (refused,) = node.set_parameters([Parameter("faults", value=["off"])])
+    assert not refused.successful and "each of 3 fingers" in refused.reason
+    np.testing.assert_array_equal(sense(node, 0).forces, TRUE.forces)
+    (taken,) = node.set_parameters([Parameter("faults", value=["none", "off", "none"])])
+    assert taken.successful
+    assert np.isnan(sense(node, TICK).positions).any(axis=1).tolist() == [False, True, False]
+
+
 def test_a_wrong_calibration_moves_contacts_with_the_joints(here):
     node = here.make(TactileSensorNode, **{"calibration.skin_rotation": [0.0, 0.0, 0.1]})
     expected = miscalibrated(node.config.calibration, HAND, STATE.theta, TRUE)

@@ -7,6 +7,7 @@ from scipy.signal import lfilter
 from support.grasps import HALF
 
 from tactile_hand_ros.control.contact import contact_frame
+from tactile_hand_ros.errors import ConfigurationError
 from tactile_hand_ros.rotations import quaternion_from_rotation, rows_of_quaternions
 from tactile_hand_ros.simulation.skin import TactileReading, TactileSensor, TactileSensorConfig
 
@@ -233,3 +234,33 @@ def test_one_finger_without_contact_leaves_the_others_noise_alone():
     for one, two in zip(whole, part, strict=True):
         np.testing.assert_array_equal(one.forces[[0, 2]], two.forces[[0, 2]])
         np.testing.assert_array_equal(one.positions[[0, 2]], two.positions[[0, 2]])
+
+
+def test_each_finger_has_its_own_fault():
+    skin, whole = sensor(), readings(sensor(), 3)
+    (first,) = readings(skin, 1)
+    same(first, whole[0])
+    skin.configure(TactileSensorConfig(faults=["off", "stuck", "wrong"]))
+    for i in (1, 2):
+        found = skin.step(i * TICK, truth(1e-9 * i * TICK))
+        assert np.isnan(found.positions[0]).all() and not found.forces[0].any()
+        for one, then, now in zip(found, whole[0], whole[i], strict=True):
+            np.testing.assert_array_equal(one[1], then[1])
+        np.testing.assert_array_equal(found.positions[2], whole[i].positions[2])
+        np.testing.assert_allclose(found.forces[2], 3.0 * whole[i].forces[2])
+    skin.configure(TactileSensorConfig(faults=["none"] * 3))
+    same(skin.step(3 * TICK, truth(3e-9 * TICK)), truth(3e-9 * TICK))
+
+
+def test_the_first_sample_of_a_stuck_finger_is_the_true_one():
+    same(readings(sensor(faults=["stuck"] * 3), 1)[0], truth())
+
+
+@pytest.mark.parametrize("faults", [["off"], ["off"] * 4])
+def test_faults_of_another_number_of_fingers_are_refused(faults):
+    with pytest.raises(ConfigurationError, match="each of 3 fingers"):
+        sensor(faults=faults)
+    skin = sensor()
+    with pytest.raises(ConfigurationError, match="each of 3 fingers"):
+        skin.configure(TactileSensorConfig(faults=faults))
+    same(readings(skin, 1)[0], truth())
