@@ -23,7 +23,6 @@ from typing import NamedTuple
 
 import rclpy
 from geometry_msgs.msg import WrenchStamped
-from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 
 from bench.processes import CapturedProcess, isolated_domain, start_executable
@@ -160,7 +159,7 @@ def main() -> None:
     rclpy.init()
     try:
         spin([Role(role, wiring, recorders, ticks).node for role in roles])
-    except (KeyboardInterrupt, ExternalShutdownException):
+    except KeyboardInterrupt:
         return
 
 

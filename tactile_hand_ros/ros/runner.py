@@ -13,7 +13,6 @@ from typing import Any
 
 import rclpy
 from rclpy.exceptions import InvalidHandle, NotInitializedException
-from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 from rclpy.utilities import remove_ros_args
 
@@ -80,7 +79,7 @@ def _serve(nodes: Sequence[Node], priority: int) -> int:
 
 def _code_of(error: BaseException, code: int) -> int:
     """Return the exit code for an error, and print the error for the user."""
-    if isinstance(error, KeyboardInterrupt | ExternalShutdownException):
+    if isinstance(error, KeyboardInterrupt):
         return EXIT_OK
     if isinstance(error, TactileHandError):
         print(error, file=sys.stderr, flush=True)
