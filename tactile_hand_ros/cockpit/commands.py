@@ -54,6 +54,7 @@ _CASTS: dict[str, Callable[[Any], Any]] = {
     "STRING": str,
     "BOOL": bool,
     "DOUBLE_ARRAY": lambda given: [float(number) for number in given],
+    "STRING_ARRAY": lambda given: [str(word) for word in given],
 }
 
 

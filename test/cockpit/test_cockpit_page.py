@@ -178,6 +178,38 @@ def test_a_slider_turns_the_palm_and_an_arrow_shows_where_up_is(page: Page) -> N
     assert np.isfinite(row(page, "contact_positions")).all()
 
 
+def choose(page: Page, what: str, fault: str) -> None:
+    select = page.driver.find_element(By.CSS_SELECTOR, f"[aria-label='fault of {what}']")
+    page.js("arguments[0].value = arguments[1]", select, fault)
+    page.js("arguments[0].dispatchEvent(new Event('change'))", select)
+
+
+def test_the_skin_of_a_finger_fails_and_the_hand_holds_meanwhile(page: Page) -> None:
+    touch = "return report.source.status.nodes.find((n) => n.name === 'manipulation_controller')"
+    choose(page, "finger 2", "off")
+    page.wait(lambda: np.isnan(row(page, "contact_positions")[3:6]).all())
+    assert np.isfinite(np.delete(row(page, "contact_positions"), slice(3, 6))).all()
+    page.wait(lambda: page.js(touch)["mode"] == "hold")
+    choose(page, "finger 2", "none")
+    page.wait(lambda: page.js(touch)["mode"] == "drive")
+    assert np.isfinite(row(page, "contact_positions")).all()
+
+
+def test_a_tab_with_a_broken_link_cannot_move_the_hand_as_its_user_means(page: Page) -> None:
+    force = row(page, "grasp_force")[0]
+    choose(page, "link of this tab", "silent")
+    assert "nothing was sent" in ask(page, {"do": "force", "value": 9.0})["text"]
+    choose(page, "link of this tab", "wrong")
+    sent = {"do": "push", "wrench": [0.0, 0.0, -9.0, 0.0, 0.0, 0.0]}
+    assert "at most 30 N" in ask(page, sent)["text"]
+    choose(page, "link of this tab", "late")
+    page.js("window.sent = performance.now()")
+    assert ask(page, {"do": "mark", "text": "late"})["ok"]
+    assert page.js("return performance.now() - window.sent") >= 1000.0
+    choose(page, "link of this tab", "none")
+    assert row(page, "grasp_force")[0] == pytest.approx(force, rel=0.1)
+
+
 def test_a_push_of_a_dead_tab_ends(page: Page) -> None:
     push = {"do": "push", "wrench": [0.0, 0.0, -1.0, 0.0, 0.0, 0.0]}
     # Repeated until a picture shows it: on a slow machine it may end between two pictures.

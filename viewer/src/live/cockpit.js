@@ -10,7 +10,7 @@ import { listenToKeys } from "../keyboard.js";
 import { stage } from "../page/stage.js";
 import { Zoom } from "../zoom.js";
 import { controls } from "./controls.js";
-import { assumptions, nodeList, parameters, response } from "./panels.js";
+import { assumptions, breaks, nodeList, parameters, response } from "./panels.js";
 import { LivePlayer } from "./player.js";
 import { Handles, Spring } from "./pull.js";
 import { LiveSource } from "./source.js";
@@ -104,7 +104,7 @@ function build(page, content) {
   page.scene = scene;
   listenToKeys({ player, zoom: page.zoom, theme, events: run.events, times: [0, 0.1] });
   if (scene) hands(page, viewport);
-  page.parts = [controls(page), response(source), nodeList(source, page.act), assumptions(source), parameters(source, page.act)];
+  page.parts = [controls(page), response(source), nodeList(source, page.act), breaks(source, page.act), assumptions(source), parameters(source, page.act)];
   const [steering, last, ...rest] = page.parts;
   const charts = el("div", { class: "plots" });
   page.body.replaceChildren(

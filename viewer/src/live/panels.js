@@ -2,11 +2,14 @@
 // What stands beside the picture: health of the nodes, assumptions, the last slip, parameters.
 
 import { el } from "../dom.js";
+import { LINK_FAULTS } from "./source.js";
 
 const LEVELS = ["good", "warned", "bad", "stale"];
 const WORDS = ["ok", "warning", "error", "silent"];
 const STEPS = [["onset", "onset"], ["detection", "detected"], ["reaction", "k_f rises"], ["torque", "torque rises"], ["stuck", "sticks again"]];
 const BREAKS = { A2: 0, A4: 0, A6: 0, A7: 1e-3 }; // margins at and below which an assumption is broken
+
+const SKIN_FAULTS = ["none", "off", "stuck", "wrong"];
 
 const LAW = "Gains change while the hand holds. The law itself cannot: a new law starts without the load that the old one carries, so the object would drop. Start another run with --set manipulation_controller.law.name=...";
 
@@ -40,6 +43,30 @@ export function nodeList(source, act) {
     body.replaceChildren(...nodes.map(row), ...[note].filter(Boolean));
   };
   return { element, update };
+}
+
+/** Make the faults of the skin of each finger, which a real hand refuses, and of the link of this tab. */
+export function breaks(source, act) {
+  const { element, body } = panel("Break", "skin and link", "breaks");
+  const choice = (name, words, onchange) => {
+    const select = el("select", { "aria-label": `fault of ${name}`, onchange: () => onchange(select) }, ...words.map((word) => el("option", { value: word }, word)));
+    body.append(el("div", { class: "row" }, el("span", {}, name), select));
+    return select;
+  };
+  let inForce = [];
+  const show = () => skin.forEach((each, i) => (each.value = inForce[i] ?? "none"));
+  const asked = async () => {
+    const value = skin.map((each) => each.value);
+    if ((await act({ do: "set", node: "tactile_sensor", name: "faults", value })).ok) inForce = value;
+    else show();
+  };
+  const skin = source.run.fingers.map(({ name }) => choice(name.replaceAll("_", " "), SKIN_FAULTS, asked));
+  choice("link of this tab", LINK_FAULTS, (select) => (source.fault = select.value));
+  source.ask({ do: "parameters", node: "tactile_sensor" }).then(({ ok, text }) => {
+    if (ok) inForce = JSON.parse(text).find((one) => one.name === "faults").value;
+    show();
+  });
+  return { element, update: () => {} };
 }
 
 /** Make the list of assumptions with their margins now. */
@@ -95,7 +122,7 @@ export function parameters(source, act) {
 
 function field(node, { name, value, meaning, unit, choices, min, max }, act) {
   const change = async () => {
-    const given = Array.isArray(value) ? input.value.split(",").map(Number) : typeof value === "boolean" ? input.checked : typeof value === "number" ? Number(input.value) : input.value;
+    const given = Array.isArray(value) ? input.value.split(",").filter(Boolean).map((word) => (isNaN(word) ? word.trim() : Number(word))) : typeof value === "boolean" ? input.checked : typeof value === "number" ? Number(input.value) : input.value;
     const { ok } = await act({ do: "set", node, name, value: given });
     if (ok) value = given;
     else put();

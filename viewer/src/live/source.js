@@ -2,7 +2,11 @@
 // A running hand as a run: the same arrays as in a report, filled from a WebSocket.
 
 const RETRY = 1000; // ms
+const LATE = 1000; // ms
 const HEAD = 16; // bytes: epoch, rows, width, nothing
+
+/** Faults of the link from a tab to the hand, for `LiveSource.fault`. */
+export const LINK_FAULTS = ["none", "silent", "late", "wrong"];
 
 export class LiveSource {
   /** Connect; `changed(what)` is called after news: "run", "rows", "status", "link" or "reply". */
@@ -11,6 +15,7 @@ export class LiveSource {
     this.status = { nodes: [], margins: {}, events: [], response: {}, driver: 0 };
     this.connected = false;
     this.problem = "";
+    this.fault = "none";
     this.tab = 0;
     this._changed = changed;
     this._waiting = new Map();
@@ -26,8 +31,11 @@ export class LiveSource {
   /** Send a command; resolves to `{ok, text}`. */
   ask(command) {
     if (!this.connected) return Promise.resolve({ ok: false, text: "there is no connection to the cockpit" });
+    if (this.fault === "silent") return Promise.resolve({ ok: false, text: "the link of this tab is silent: nothing was sent" });
     const id = ++this._number;
-    this._send({ ...command, id });
+    const sent = this.fault === "wrong" ? wrong(command) : command;
+    if (this.fault === "late") setTimeout(() => this._send({ ...sent, id }), LATE);
+    else this._send({ ...sent, id });
     return new Promise((resolve) => this._waiting.set(id, resolve));
   }
 
@@ -140,4 +148,10 @@ export class LiveSource {
     this.run.events.splice(0, this.run.events.length - 400);
     if (fresh.length) this.run.lastEvent = fresh.at(-1).id;
   }
+}
+
+/** Return a command with numbers that its user did not mean. */
+function wrong(command) {
+  const spoil = (value) => (typeof value === "number" ? -10 * value : Array.isArray(value) ? value.map(spoil) : value);
+  return Object.fromEntries(Object.entries(command).map(([key, value]) => [key, spoil(value)]));
 }
