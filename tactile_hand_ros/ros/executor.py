@@ -55,9 +55,9 @@ _KINDS = ("subscription", "guard_condition", "timer", "client", "service")
 _EVENT = "event"
 
 
-def _overdue(timer: Timer) -> float:
-    """Return by how many of its periods a timer is late, so that none has to wait for ever."""
-    return float(-(timer.time_until_next_call() or 0) / max(timer.timer_period_ns, 1))
+def _lateness(timer: Timer) -> int:
+    """Return how long the deadline of a timer, a period after it was due, is past [ns]."""
+    return int(-(timer.time_until_next_call() or 0) - timer.timer_period_ns)
 
 
 def spin(nodes: Node | Sequence[Node], executor: Executor | None = None) -> None:
@@ -191,7 +191,8 @@ class WaitSetExecutor(Executor):
     def _step(self, waiting: _WaitSet, limit_ns: int) -> None:
         """Wait once, up to a limit [ns], and serve what is ready, but of the timers only one.
 
-        Otherwise ticks would wait for the diagnostics of all nodes in turn.
+        It is that with the earliest deadline. Otherwise ticks would wait for the diagnostics of all
+        nodes in turn, or these for ticks that are always late.
         """
         waiting.wait(limit_ns)
         guards = waiting.ready("guard_condition")
@@ -203,7 +204,7 @@ class WaitSetExecutor(Executor):
         # A cancelled timer is reported as ready one more time.
         timers = [timer for timer in waiting.ready("timer") if timer.handle.is_timer_ready()]
         if timers and not self._stale:
-            timer = max(timers, key=_overdue)
+            timer = max(timers, key=_lateness)
             timer.handle.call_timer()
             timer.callback()
         for subscription in waiting.ready("subscription"):
