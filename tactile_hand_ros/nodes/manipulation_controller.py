@@ -42,6 +42,7 @@ from tactile_hand_ros.ros.node import TactileNode
 from tactile_hand_ros.ros.runner import run_node
 from tactile_hand_ros.ros.ticks import TickInputs
 
+_TICK, _SLOW = 1_000_000, 1e-3  # ns and rad/s, of a rehearsal
 _AT_LIMIT = "a joint is at the effort limit of the URDF; lower the grasp force or the gains"
 
 
@@ -194,12 +195,15 @@ class ManipulationControllerNode(TactileNode[ControllerConfig]):
         self._inputs = TickInputs(self, declared, self, silence=self.config.input_timeout)
 
     def _rehearse(self) -> None:
-        hand = self._controller.hand
+        """Answer ticks of moving joints until the delay of torques is found: all code is loaded."""
+        hand, still = self._controller.hand, np.zeros(self._controller.hand.joints)
         contacts, forces = example_touch(hand.fingers)
-        still = np.zeros(hand.joints)
         on_tips = hand.tip_positions(still) + hand.radii[:, None] * contacts.normals
         contacts = Contacts(on_tips, contacts.rotations)
-        self._controller.step(0, still, still, contacts, forces / hand.fingers, 1.0, forces)
+        touch = contacts, forces / hand.fingers, 1.0, forces
+        for stamp in range(0, (self.config.hold.latency + 3) * _TICK, _TICK):
+            theta, rates = still + _SLOW * 1e-9 * stamp, still + _SLOW
+            self._controller.step(stamp, theta, rates, *touch, still)
         GraspMonitor(hand).margins(still, contacts)
         self._controller.reset()
 

@@ -18,7 +18,9 @@ from support.nodes import counts, facts, tapped
 from support.spinning import spinning
 
 from tactile_hand_ros import names
+from tactile_hand_ros.control import controller, sensing
 from tactile_hand_ros.control.contact import Contacts
+from tactile_hand_ros.control.controller import Mode
 from tactile_hand_ros.control.targets import MAX_WAITING
 from tactile_hand_ros.nodes.force_optimizer import ForceOptimizerNode
 from tactile_hand_ros.nodes.manipulation_controller import ManipulationControllerNode
@@ -254,6 +256,23 @@ def test_a_torque_beyond_the_effort_limits_is_cut_off_with_a_warning(here):
     assert (np.abs(command.torque) <= limits).all()
     assert command.do_not_send or level(node)[0] == WARN
     assert (np.abs(torque(sent)[1]) <= limits).all()
+
+
+def test_code_is_loaded_before_the_first_tick(here, monkeypatch):
+    """Loading it from the cache takes a hundred milliseconds on a busy computer."""
+    used = set()
+
+    def noted(module, name):
+        before = getattr(module, name)
+        monkeypatch.setattr(module, name, lambda *args: used.add(name) or before(*args))
+
+    for name in ("carried_along", "required_bandwidth"):
+        noted(controller, name)
+    noted(sensing, "_best_delay")
+    node = here.make(ManipulationControllerNode, **{"hold.latency": 5})
+    assert used == {"carried_along", "required_bandwidth", "_best_delay"}
+    used.clear()
+    assert tick(node, 0).mode is Mode.DRIVE and not used  # as a controller without a past
 
 
 def test_a_tick_that_fails_is_answered_with_a_hold(here, monkeypatch):
