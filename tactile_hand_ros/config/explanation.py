@@ -101,7 +101,7 @@ def _walk(
 
 def allowed(annotation: Any, field: FieldInfo) -> str:
     """Describe what a field accepts besides its type, such as ``>= 0 and <= 1 N``."""
-    if choices := choices_of(annotation):
+    if choices := choices_of(element_type(annotation)):
         return "one of " + ", ".join(choices)
     bounds = ((phrase, bound_of(field, name)) for name, phrase in _LIMITS.items())
     limits = [phrase.format(bound) for phrase, bound in bounds if bound is not None]

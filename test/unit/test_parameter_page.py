@@ -37,8 +37,10 @@ def row(name, field):
     default = "required" if field.is_required() else f"`{shown(field.default)}`"
     limits = [f"{SIGNS[kind]} {shown(getattr(each, kind.lower()))}" for each in field.metadata
               if (kind := type(each).__name__) in SIGNS]  # fmt: skip
-    if get_origin(field.annotation) is Literal:
-        limits = list(get_args(field.annotation))
+    kind = field.annotation
+    kind = get_args(kind)[0] if get_origin(kind) is list else kind
+    if get_origin(kind) is Literal:
+        limits = list(get_args(kind))
     extra = field.json_schema_extra
     cells = (f"`{name}`", "empty" if default == "``" else default, extra["unit"], ", ".join(limits),
              "yes" if extra["live"] else "", field.description.replace("|", "\\|"))  # fmt: skip
