@@ -20,6 +20,11 @@ sensor_msgs/JointState with the finger names in `name` and the tick as timestamp
 
 from __future__ import annotations
 
+import itertools
+from collections.abc import Iterable, Sequence
+
+from tactile_hand_ros.errors import MessageError
+
 JOINT_STATES = "joint_states"
 JOINT_COMMAND = "joint_command"
 IMU = "imu"
@@ -115,3 +120,23 @@ def ticks_of(node: str) -> str:
 def contact_frame(finger: str) -> str:
     """Return the name of the contact frame C_i of a finger."""
     return f"{finger}_contact"
+
+
+def listed(fingers: Iterable[str], chosen: Iterable[object]) -> str:
+    """Return the names of the chosen fingers as the text of `TOUCH_REJECTED`."""
+    return ", ".join(itertools.compress(fingers, chosen))
+
+
+def is_listed(fingers: Sequence[str], text: str) -> list[bool]:
+    """Return for each finger whether a text of `TOUCH_REJECTED` names it.
+
+    Raises:
+        MessageError: If it names anything else.
+    """
+    chosen = [name for name in text.split(", ") if name]
+    if unknown := set(chosen) - set(fingers):
+        raise MessageError(
+            f"{TOUCH_REJECTED} names {', '.join(sorted(unknown))}, but the fingers are "
+            f"{', '.join(fingers)}"
+        )
+    return [name in chosen for name in fingers]

@@ -63,6 +63,16 @@ class Contacts:
         """Return the contacts of the fingers in a mask of shape (k,)."""
         return self if chosen.all() else Contacts(self.positions[chosen], self.rotations[chosen])
 
+    def replaced(self, chosen: NDArray[np.bool_], part: Contacts) -> Contacts:
+        """Return the contacts with others for the fingers in a mask of shape (k,)."""
+        positions, rotations = self.positions.copy(), self.rotations.copy()
+        positions[chosen], rotations[chosen] = part.positions, part.rotations
+        return Contacts(positions, rotations)
+
+    def without(self, missing: NDArray[np.bool_]) -> Contacts:
+        """Return the contacts without those of the fingers in a mask of shape (k,)."""
+        return Contacts(np.where(missing[:, None], np.nan, self.positions), self.rotations)
+
     @property
     def normals(self) -> Array:
         """Contact normals n into the object, shape (k, 3)."""

@@ -38,7 +38,7 @@ from tactile_hand_ros.control.plausibility import (
 )
 from tactile_hand_ros.control.reach import end_of, room
 from tactile_hand_ros.control.regrasp import Regrasp, RegraspConfig
-from tactile_hand_ros.control.sensing import JointRates, LateTouch, TorqueDelay
+from tactile_hand_ros.control.sensing import JointRates, LateTouch, TorqueDelay, UnfeltTouch
 from tactile_hand_ros.control.targets import Grasp, SmoothReference, TargetQueue
 from tactile_hand_ros.errors import GraspError
 from tactile_hand_ros.hand.hand import Fingertips, Hand
@@ -205,8 +205,8 @@ class Controller:
     Attributes:
         targets: Desired poses: the one in force, and those that wait.
         enabled: Whether the law acts; otherwise the hand only damps.
-        touch_rejected: Whether nothing must be learned from touch, since joints and touch do not
-            fit each other. False while the hand is open or disabled.
+        touch_rejected: Fingers whose touch does not fit the joints, so that nothing must be learned
+            from it, shape (k,). None while the hand is open or disabled.
         joints_held: Whether a guard holds the joints, so that these torques do not reach them. The
             integral and the reference wait meanwhile.
         warning: Why a hold could not keep this grasp; empty if it could.
@@ -257,6 +257,7 @@ class Controller:
         self._posture = np.zeros(self.hand.joints)  # of the hold
         self._delay = TorqueDelay(self.config.hold.latency, self.hand.joints)
         self._grasp: Grasp | None = None
+        self._sent = self._none  # at the last tick, N m
         self._last_torque: Array | None = None  # of the law, one tick ago
         self._last_stamp: int | None = None
         self._period = _LONGEST_PERIOD  # of the ticks, s
@@ -268,6 +269,8 @@ class Controller:
         self._inputs = InputCheck(self._fingers)
         self._room: Array | None = None  # largest during the present move, see `room`
         self._late_touch = LateTouch(self._fingers)
+        self._unfelt_touch = UnfeltTouch(self._fingers)
+        self._unfelt = np.zeros(self._fingers.fingers, dtype=bool)  # of these: press, but unfelt
 
     def _new_grasp(self) -> None:
         self.warning, self._fitted_to, self._fitted_fingers = "", (0.0, 0), 0
@@ -277,7 +280,7 @@ class Controller:
         self._required: tuple[float, float] | None = None
 
     def _accept_inputs(self) -> None:
-        self.touch_rejected = False
+        self.touch_rejected = np.zeros(self.hand.fingers, dtype=bool)
         self._implausible_since: int | None = None  # tick of the first implausible input
 
     def _enter(self, mode: Mode, theta: Array) -> None:
@@ -304,10 +307,14 @@ class Controller:
     @property
     def missing(self) -> str:
         """Fingers that close while the others hold; empty if all touch or the hand is open."""
-        if self._mode is not Mode.DRIVE or self._touching.all():
+        if self._mode is not Mode.DRIVE:
             return ""
-        names = ", ".join(self.hand.part(~self._touching).finger_names)
-        return f"no contact at {names}; closing, while the other fingers hold"
+        closing, unfelt = self.hand.part(~self._touching), self._fingers.part(self._unfelt)
+        if closing.fingers:
+            names = ", ".join(closing.finger_names)
+            return f"no contact at {names}; closing, while the other fingers hold"
+        names = ", ".join(unfelt.finger_names)
+        return f"no usable touch at {names}; going on by its joints" if names else ""
 
     def command(self, target: Target, stamp: int = 0) -> None:
         """Queue a desired pose; if `MAX_WAITING` wait already, the earliest is dropped.
@@ -383,30 +390,52 @@ class Controller:
             if not self._regrasped(contacts):
                 return self._open(theta, rates, contacts, dt)
             dt = 0.0  # no time has passed in the new grasp
-        problem = self._missing(contacts, optimal_forces, grasp_force) or self._unmeasured(forces)
+        is_blind = self._mode is Mode.DRIVE and not self._enough(contacts)
+        held = self._touching if is_blind else contacts.touching
+        touch = forces if forces is None else forces[held]
+        measured = contacts.part(held), optimal_forces[held], grasp_force, touch, applied
+        now, self._unfelt = _Tick(stamp, theta, rates, *measured, dt), ~held[held]
+        if is_blind:
+            now = self._with_unfelt(now, ~now.contacts.touching) or now
+        problem = self._missing(contacts, now) or self._unmeasured(forces)
         if problem:
             self._inputs.start_grasp()
             return self._holding(theta, rates, problem, grasp_force, applied)
-        self._follow_touch(contacts.touching)
-        held, touch = self._touching, forces if forces is None else forces[self._touching]
-        measured = contacts.part(held), optimal_forces[held], grasp_force, touch, applied
-        now = _Tick(stamp, theta, rates, *measured, dt)
-        tips, problem = self._checked(now)
+        self._follow_touch(held)
+        now, tips, problem = self._checked(now)
         if problem:
             return self._reject_inputs(stamp, theta, rates, problem, applied)
         self._implausible_since = None
+        if not self._unfelt.any():
+            self._unfelt_touch.feel(theta, now.contacts)
+            self._shape = now.optimal_forces
         try:
             return self._drive(now, tips, contacts)
         except GraspError as error:
             return self._holding(theta, rates, str(error), applied=applied)
 
+    def _with_unfelt(self, now: _Tick, unfelt: NDArray[np.bool_]) -> _Tick | None:
+        """Return a tick with the touch of some fingers from their joints, and the last f* of all.
+
+        The mask `unfelt` has the shape (k,) of the tick. None if touch is unknown.
+        """
+        torque = self._sent if now.applied is None else now.applied
+        torque = torque - self.hand.gravity_torque(now.theta)
+        touch = self._unfelt_touch.filled(now.theta, now.contacts, now.forces, unfelt, torque)
+        if touch is None:
+            return None
+        self._unfelt = unfelt
+        return now._replace(contacts=touch[0], optimal_forces=self._shape, forces=touch[1])
+
     def _drive(self, now: _Tick, tips: Fingertips, contacts: Contacts) -> Command:
-        """Return the answer of the law; `contacts` are those of all fingers.
+        """Return the answer of the law; `contacts` are those of all fingers that are felt.
 
         Raises:
             GraspError: If the law has no finite answer.
         """
         pose = self._law.auxiliary_pose(tips, now.contacts)
+        if self._unfelt.any():
+            contacts = contacts.replaced(self._touching, now.contacts)
         self._grasp = Grasp(now.theta, contacts, pose)
         refused = self.targets.take_due(now.stamp, self._grasp)
         assert self.targets.target is not None
@@ -421,7 +450,7 @@ class Controller:
         self._held = Held(parts.internal, parts.load_compensation, now.grasp_force)
         if now.elapsed > 0.0:  # the tick rate has been measured
             self._judge_hold(now)
-        torque = parts.within(self.hand.effort_limits, self._weight(now.theta))
+        torque = self._sent = parts.within(self.hand.effort_limits, self._weight(now.theta))
         torque = self._ahead(torque, now.elapsed)
         if not self._touching.all():
             torque = self._closing(torque, now.theta, now.rates, now.contacts.centroid)
@@ -511,8 +540,11 @@ class Controller:
         limits = hand.effort_limits
         return np.where(jacobian.any(axis=0), np.clip(closing, -limits, limits), torque)
 
-    def _checked(self, now: _Tick) -> tuple[Fingertips, str]:
-        """Return the fingertips, and why the inputs are implausible; empty if they are not."""
+    def _checked(self, now: _Tick) -> tuple[_Tick, Fingertips, str]:
+        """Return a tick without implausible touch, its fingertips, and what remains implausible.
+
+        If only some fingers are, the others and the joints replace their touch.
+        """
         pressing, c = None, self.config
         # Only forces that the law uses are compared.
         compares = c.law.observer.time > 0.0 and c.force_tolerance > 0.0
@@ -522,9 +554,13 @@ class Controller:
             c.touch_tolerance, c.force_tolerance, c.touch_latency, self._rates.error
         )
         seen = now.contacts, limits, pressing, self._palm
-        tips, problem = self._inputs.step(now.stamp, now.theta, now.rates, *seen)
-        self.touch_rejected = bool(problem)
-        return tips, problem or self._implausible(now.optimal_forces, now.grasp_force)
+        tips, doubt = self._inputs.step(now.stamp, now.theta, now.rates, *seen)
+        self.touch_rejected, problem = np.zeros(self.hand.fingers, dtype=bool), ""
+        if doubt is not None:
+            others = self._with_unfelt(now, self._unfelt | doubt.fingers)
+            self.touch_rejected[self._touching] = True if others is None else doubt.fingers
+            now, problem = (now, doubt.reason) if others is None else (others, "")
+        return now, tips, problem or self._implausible(now.optimal_forces, now.grasp_force)
 
     def _stopped(self, now: _Tick, pose: AuxiliaryPose) -> str:
         """Return why the grasp stops here; empty if it moves on."""
@@ -754,11 +790,12 @@ class Controller:
         continues = self._mode is (Mode.OPEN if self._regrasp.active else Mode.DRIVE)
         return min(passed, _LONGEST_GAP) if continues else 0.0
 
-    def _missing(self, contacts: Contacts, forces: Array, grasp_force: float) -> str:
-        if not self._enough(contacts):
+    def _missing(self, contacts: Contacts, now: _Tick) -> str:
+        grasp_force = now.grasp_force
+        if not (self._enough(contacts) or self._unfelt.any()):
             missing = ", ".join(self.hand.part(~contacts.touching).finger_names)
             return f"no contact at {missing}; holding until they touch again"
-        if self.config.law.uses_optimal_forces and not all_finite(forces[contacts.touching]):
+        if self.config.law.uses_optimal_forces and not all_finite(now.optimal_forces):
             return "no optimal force f*; holding until the optimizer has an answer"
         if not math.isfinite(grasp_force) or grasp_force < 0.0:
             return f"grasp force k_f = {grasp_force} N is unusable; holding the last grasp force"

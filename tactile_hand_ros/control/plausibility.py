@@ -26,18 +26,37 @@ _STANDING = 0.5  # fraction of the tolerance of touch that contacts may move whi
 _SUM = 1e-3  # largest error of sum f*_n = 1
 
 
-def implausible_touch(tips: Fingertips, contacts: Contacts, radii: Array, allowed: Array) -> str:
-    """Return why contacts and joints disagree; empty if they do not.
+Fingers = NDArray[np.bool_]
+
+
+class Doubt(NamedTuple):
+    """A disagreement between joints and touch.
+
+    Attributes:
+        reason: Why; empty if they agree.
+        fingers: The fingers whose touch may be wrong, shape (k,).
+    """
+
+    reason: str
+    fingers: Fingers
+
+
+def implausible_touch(
+    tips: Fingertips, contacts: Contacts, radii: Array, allowed: Array
+) -> Doubt | None:
+    """Return where contacts and joints disagree; None if they do not.
 
     All fingers touch. Their radii and the largest distances of the contacts from their tips have
     the shape (k,), m.
     """
     off = tip_gaps(tips, contacts, radii)
     gaps = np.sqrt((off * off).sum(axis=1))
-    if (gaps <= allowed).all():
-        return ""
-    gap = 1e3 * gaps[gaps > allowed].max()
-    return f"a contact is {gap:.2g} mm off its fingertip; holding until joints and touch fit"
+    away = ~(gaps <= allowed)
+    if not away.any():
+        return None
+    gap = 1e3 * gaps[away].max()
+    reason = f"a contact is {gap:.2g} mm off its fingertip; holding until joints and touch fit"
+    return Doubt(reason, away)
 
 
 def implausible_shape(optimal_forces: Array) -> str:
@@ -51,6 +70,8 @@ def implausible_shape(optimal_forces: Array) -> str:
 COMPARISON_TIME = 0.005
 """Time over which forces and torques are compared [s]."""
 
+_MISFIT = "forces and joint torques do not fit each other; holding until they do"
+_FROZEN = "the forces of a finger do not change although its torques do; holding"
 _TURN_TIME = 0.01  # s over which rates of a turning palm are averaged
 _SPREAD = 0.02  # of the torques of all fingers that may appear in one, by object and model
 _FROZEN_FRACTION = 0.05  # change of a finger's torques that changes the force of any skin
@@ -124,8 +145,8 @@ class ForceTorqueCheck:
         applied: Array,
         limits: Tolerances,
         palm: Array | None = None,
-    ) -> str:
-        """Return why forces and torques disagree; empty if they do not.
+    ) -> Doubt | None:
+        """Return where forces and torques disagree; None if they do not.
 
         Both are averaged over `COMPARISON_TIME`, within which an impact passes through the fingers.
 
@@ -141,7 +162,7 @@ class ForceTorqueCheck:
         """
         before, self._last = self._last, (stamp, rates)
         if before is None or stamp <= before[0]:
-            return ""
+            return None
         tips, inertia, bias = terms
         dt = 1e-9 * (stamp - before[0])
         pressed = applied - inertia @ (rates - before[1]) / dt - bias
@@ -162,21 +183,27 @@ class ForceTorqueCheck:
         noise = own @ np.abs(inertia) @ np.full(rates.shape, limits.rates) / COMPARISON_TIME
         noise = noise + self._swung * self._turning(palm, dt)
         self._noise = np.maximum(noise, (1.0 - fraction) * self._noise)
-        if not any(self._fits(past, own, limits.force) for _, past in reversed(self._past)):
-            return "forces and joint torques do not fit each other; holding until they do"
-        if self._is_frozen(stamp, tips, own, forces, limits.latency):
-            return "the forces of a finger do not change although its torques do; holding"
-        return ""
+        misfits = self._misfits(own, limits.force)
+        if misfits.any():
+            return Doubt(_MISFIT, misfits)
+        frozen = self._frozen(stamp, tips, own, forces, limits.latency)
+        return Doubt(_FROZEN, frozen) if frozen.any() else None
 
-    def _fits(self, pressed: Array, own: NDArray[np.bool_], tolerance: float) -> bool:
-        """Return whether the measured forces agree with torques of one time, shape (m,), N m.
+    def _misfits(self, own: Fingers, tolerance: float) -> Fingers:
+        """Return the fingers whose forces do not fit the torques at the time that fits most, (k,).
 
         `own` marks the joints of each finger, shape (k, m); the tolerance is a fraction.
         """
-        error, torque = (np.sqrt(own @ np.square(x)) for x in (self._measured - pressed, pressed))
-        shown = torque + _SPREAD * math.sqrt(pressed @ pressed)
-        limit = self._minimum + self._noise + tolerance * shown
-        return bool((error <= limit).all())
+        fewest = np.ones(len(own), dtype=bool)
+        for _, pressed in reversed(self._past):
+            error, torque = (np.sqrt(own @ x**2) for x in (self._measured - pressed, pressed))
+            shown = torque + _SPREAD * math.sqrt(pressed @ pressed)
+            misfits: Fingers = ~(error <= self._minimum + self._noise + tolerance * shown)
+            if misfits.sum() < fewest.sum():
+                fewest = misfits
+            if not fewest.any():
+                break
+        return fewest
 
     def _turning(self, palm: Array | None, dt: float) -> float:
         """Return the largest apparent acceleration per lever arm of a turning palm, 1/s^2."""
@@ -189,10 +216,10 @@ class ForceTorqueCheck:
         self._acceleration = self._acceleration + fraction * change
         return float(np.linalg.norm(self._acceleration) + self._spin @ self._spin)
 
-    def _is_frozen(
-        self, stamp: int, tips: Fingertips, own: NDArray[np.bool_], forces: Array, latency: float
-    ) -> bool:
-        """Return whether a finger repeats its force bit for bit although its torque changes.
+    def _frozen(
+        self, stamp: int, tips: Fingertips, own: Fingers, forces: Array, latency: float
+    ) -> Fingers:
+        """Return which fingers repeat their force bit for bit although their torque changes, (k,).
 
         It may do so for twice the latency, since a sample may be lost, and while the torque changes
         by less than the steps of the skin.
@@ -200,6 +227,7 @@ class ForceTorqueCheck:
         if not self._repeats:
             first = [_Repeat(stamp, force, self._pressed, math.inf) for force in forces.tolist()]
             self._repeats = first
+        frozen = np.zeros(len(own), dtype=bool)
         for i, (force, last) in enumerate(zip(forces.tolist(), self._repeats, strict=True)):
             if force != last.force:
                 changes = [abs(a - b) for a, b in zip(force, last.force, strict=True) if a != b]
@@ -211,9 +239,8 @@ class ForceTorqueCheck:
                 torque = np.abs(last.pressed[own[i]]).max()
                 fine = _FINE_FRACTION * (torque + self._minimum[i]) + _STEPS * lever * last.finest
                 shown = min(fine, _FROZEN_FRACTION * torque + self._minimum[i])
-                if change > self._noise[i] + shown:
-                    return True
-        return False
+                frozen[i] = change > self._noise[i] + shown
+        return frozen
 
 
 class InputCheck:
@@ -238,30 +265,31 @@ class InputCheck:
         limits: Tolerances,
         pressing: tuple[Array, Array] | None,
         palm: Array | None = None,
-    ) -> tuple[Fingertips, str]:
-        """Return the fingertips, and why joints and touch disagree; empty if they do not.
+    ) -> tuple[Fingertips, Doubt | None]:
+        """Return the fingertips, and where joints and touch disagree; None if they do not.
 
         All fingers touch. `pressing` are the measured forces and the applied torque, None to
         compare neither; for these and the rest see `ForceTorqueCheck.step`.
         """
-        problem = ""
+        doubt = None
         if pressing is None:
             tips = self._hand.fingertips(theta)
         else:
             terms = self._hand.dynamics(theta, rates)
             tips = terms.tips
-            problem = self._forces.step(stamp, rates, terms, contacts, *pressing, limits, palm)
+            doubt = self._forces.step(stamp, rates, terms, contacts, *pressing, limits, palm)
         radii = self._hand.radii
         allowed = np.full(len(radii), limits.touch) if limits.touch > 0.0 else OFF_TIP * radii
         gap = implausible_touch(tips, contacts, radii, allowed)
-        return tips, problem or gap or self._frozen(theta, contacts, allowed)
+        return tips, doubt or gap or self._frozen(theta, contacts, allowed)
 
-    def _frozen(self, theta: Array, contacts: Contacts, allowed: Array) -> str:
-        """Return why the joint angles are frozen: they repeat bit for bit while contacts move."""
+    def _frozen(self, theta: Array, contacts: Contacts, allowed: Array) -> Doubt | None:
+        """Return whether the joint angles repeat bit for bit while contacts move."""
         if not np.array_equal(theta, self._theta):
             self._theta, self._points = theta.copy(), contacts.positions
-            return ""
+            return None
         moved = np.abs(contacts.positions - self._points).max(axis=1)
         if (moved <= _STANDING * allowed).all():
-            return ""
-        return "the joint angles do not change although the contacts move; holding until they do"
+            return None
+        reason = "the joint angles do not change although the contacts move; holding until they do"
+        return Doubt(reason, np.ones(len(moved), dtype=bool))

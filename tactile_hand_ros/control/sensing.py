@@ -11,14 +11,17 @@ import bisect
 from collections import deque
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tactile_hand_ros.compiled import Array, compiled
-from tactile_hand_ros.control.contact import Contacts, tip_gaps
+from tactile_hand_ros.control.contact import OFF_TIP, Contacts, hand_jacobian, in_palm, tip_gaps
+from tactile_hand_ros.control.grasp import carried_along
 from tactile_hand_ros.hand.hand import Fingertips, Hand
 
 _WINDOW = 64  # number of angles; at rest their slope is one angle error over all of them
 _ROUNDING = 0.01  # of the error, so that angles one step apart count as a line
 _DELAY_TICKS = 64  # over which differences of torques are averaged
+_SHORTEST = 1e-9  # m, keeps the distance of a contact from itself regular
 _AGE_SAMPLES = 64  # over which the age of touch is averaged
 
 
@@ -249,6 +252,72 @@ def _regress(
             moments[2] += fraction * speed * gap
     moments *= 1.0 - fraction
     return True
+
+
+class UnfeltTouch:
+    """Fills in the touch of fingers that press although their skin reports no contact.
+
+    A finger that loses its object moves on, since nothing resists it. While the points of the
+    fingers at the contacts keep their distances, as on a rigid object, the skin has failed instead.
+    The contact then moves with the joints, and its force is that of their torques (3).
+    """
+
+    def __init__(self, hand: Hand) -> None:
+        """Start without a grasp of a hand."""
+        self._hand, self._allowed = hand, OFF_TIP * hand.radii
+        self._last: tuple[Array, Contacts] | None = None  # joint angles, and their contacts
+        self._strained = np.zeros((hand.fingers, hand.fingers))  # change of the distances, m
+
+    def feel(self, theta: Array, contacts: Contacts) -> None:
+        """Record joint angles, shape (m,), rad, and the contacts of all fingers."""
+        self._last, self._strained = (theta, contacts), np.zeros_like(self._strained)
+
+    def filled(
+        self,
+        theta: Array,
+        contacts: Contacts,
+        forces: Array | None,
+        unfelt: NDArray[np.bool_],
+        torque: Array,
+    ) -> tuple[Contacts, Array | None] | None:
+        """Return contacts and forces of all fingers; None if they are unknown.
+
+        That is so without a touch of all, if no finger is felt, or if one has moved off the object.
+
+        Args:
+            theta: Joint angles, shape (m,), rad.
+            contacts: Contacts by touch.
+            forces: Measured forces in contact frames, shape (k, 3), N.
+            unfelt: Fingers to fill in, shape (k,).
+            torque: Torque that presses on the object, shape (m,), N m.
+        """
+        if self._last is None or unfelt.all():
+            return None
+        (before, last), moved = self._last, theta - self._last[0]
+        tips, touch = self._hand.fingertips(before), (last.positions, last.rotations)
+        levers = hand_jacobian(tips, *touch)
+        self._strained += _stretched(last, levers @ moved)
+        if (np.abs(self._strained).max(axis=1) > self._allowed)[unfelt].any():
+            self._last = None
+            return None
+        here = Contacts(*carried_along(tips, *touch, moved))
+        filled = contacts.replaced(unfelt, here.part(unfelt))
+        self._last = theta, filled
+        if forces is not None:
+            pressed = np.linalg.lstsq(levers.reshape(-1, len(theta)).T, torque)[0]
+            forces = np.where(unfelt[:, None], pressed.reshape(-1, 3), forces)
+        return filled, forces
+
+
+def _stretched(contacts: Contacts, moved: Array) -> Array:
+    """Return by how much distances between contacts grow, shape (k, k), m.
+
+    The points of the fingers there move by `moved`, in contact frames, shape (k, 3), m.
+    """
+    shifts = in_palm(contacts.rotations, moved, 1.0)
+    apart = contacts.positions[:, None] - contacts.positions
+    along = ((shifts[:, None] - shifts) * apart).sum(axis=2)
+    return np.asarray(along / np.maximum(np.linalg.norm(apart, axis=2), _SHORTEST))
 
 
 class LateTouch:

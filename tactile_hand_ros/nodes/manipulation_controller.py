@@ -18,8 +18,9 @@ from typing import Any
 
 import numpy as np
 from geometry_msgs.msg import PoseStamped
+from numpy.typing import NDArray
 from sensor_msgs.msg import JointState
-from std_msgs.msg import Bool
+from std_msgs.msg import Bool, String
 from std_srvs.srv import SetBool, Trigger
 
 from tactile_hand_ros import names
@@ -115,10 +116,10 @@ class ManipulationControllerNode(TactileNode[ControllerConfig]):
     N m), `auxiliary_pose` (geometry_msgs/PoseStamped, palm frame, m: centroid and virtual frame
     of the contacts; not while holding). With the timestamp of the first tick that they change:
     `accepted/desired_pose` (geometry_msgs/PoseStamped, frame `palm`, m) and the topics of
-    `AppliedChanges`. At each change, latched: `touch_rejected` (std_msgs/Bool, whether joints and
-    touch contradict each other, so that regulator and optimizer must not learn from touch). Once a
-    second: `/diagnostics` with mode, distance to the target and margins of A1 (travel on faces),
-    A2 (tips' rims), A5 (joints) and A7 (contacts).
+    `AppliedChanges`. At each change, latched: `touch_rejected` (std_msgs/String, fingers whose
+    touch contradicts the joints, so that the regulator must not use it). Once a second:
+    `/diagnostics` with mode, distance to the target and margins of A1 (travel on faces), A2 (tips'
+    rims), A5 (joints) and A7 (contacts).
 
     At most 1000 poses wait for their tick; beyond that, the earliest are dropped and counted as
     `dropped_poses`. A pose stamped more than a day ahead of the ticks is rejected, at the latest at
@@ -166,9 +167,9 @@ class ManipulationControllerNode(TactileNode[ControllerConfig]):
         self._pose_publisher = publisher(PoseStamped, names.AUXILIARY_POSE, pose)
         # Created first, so that a waiting pose is handled before a waiting tick.
         self._desired = DesiredPoses(self, self._controller, lambda: self._tick)
-        self._rejection = self.create_publisher(Bool, names.TOUCH_REJECTED, qos.latched_qos())
-        self._rejection.publish(Bool(data=False))
-        self._was_rejected = False
+        self._rejection = self.create_publisher(String, names.TOUCH_REJECTED, qos.latched_qos())
+        self._rejection.publish(String())
+        self._rejected = ""
         c = self.config  # with an imu, so that the inputs keep their order
         is_grip = c.law.name == "grip"
         self._takes_forces = composed or c.law.observer.time > 0.0 or c.imu or is_grip
@@ -213,8 +214,8 @@ class ManipulationControllerNode(TactileNode[ControllerConfig]):
         return self._controller.hand
 
     @property
-    def touch_rejected(self) -> bool:
-        """Whether joints and touch contradict each other."""
+    def touch_rejected(self) -> NDArray[np.bool_]:
+        """Fingers whose touch contradicts the joints, shape (k,)."""
         return self._controller.touch_rejected
 
     def turn_palm(self, orientation: Array) -> None:
@@ -350,10 +351,11 @@ class ManipulationControllerNode(TactileNode[ControllerConfig]):
         return self._answer[1]
 
     def _publish_rejection(self) -> None:
-        """Publish whether joints and touch contradict each other, if that has changed."""
-        if self._controller.touch_rejected != self._was_rejected:
-            self._was_rejected = self._controller.touch_rejected
-            self._rejection.publish(Bool(data=self._was_rejected))
+        """Publish the fingers whose touch contradicts the joints, if that has changed."""
+        rejected = names.listed(self.hand.finger_names, self.touch_rejected)
+        if rejected != self._rejected:
+            self._rejected = rejected
+            self._rejection.publish(String(data=rejected))
 
     def on_blind_tick(self, stamp: int, joints: Joints, reason: str) -> None:
         """Hold the hand at a tick with missing inputs."""

@@ -22,7 +22,7 @@ import numpy as np
 from geometry_msgs.msg import WrenchStamped
 from numpy.typing import NDArray
 from sensor_msgs.msg import JointState, JoyFeedbackArray
-from std_msgs.msg import Bool, Float64
+from std_msgs.msg import Bool, Float64, String
 from std_srvs.srv import Trigger
 
 from tactile_hand_ros import names
@@ -144,8 +144,8 @@ class SlipRegulatorNode(TactileNode[SlipRegulatorConfig]):
     Subscriptions: `tactile/contacts` (geometry_msgs/PoseArray, palm frame, m),
     `tactile/<finger>/wrench` (geometry_msgs/WrenchStamped in `<finger>_contact`, N), both with the
     same timestamp; `user_grasp_force` (std_msgs/Float64, the k_f that the user requests, N);
-    `touch_rejected` and `joint_hold` (std_msgs/Bool, whether the controller rejects touch, and
-    whether a guard holds the joints).
+    `touch_rejected` (std_msgs/String, fingers whose touch the controller rejects); `joint_hold`
+    (std_msgs/Bool, whether a guard holds the joints).
 
     Publications, with the timestamp of the input: `grasp_force` (geometry_msgs/WrenchStamped, k_f
     in force.y, N), `grip_state` (sensor_msgs/JointState by finger: learned friction, evidence for
@@ -179,7 +179,7 @@ class SlipRegulatorNode(TactileNode[SlipRegulatorConfig]):
             TactileHandError: If a parameter is rejected or there is no such hand.
         """
         super().__init__("slip_regulator", SlipRegulatorConfig, **kwargs)
-        fingers = load_hand_config(self.config.hand).finger_names
+        fingers = self._fingers = load_hand_config(self.config.hand).finger_names
         self._regulator = SlipRegulator(self.config, len(fingers))
         self._changes = AppliedChanges(self, names.REGULATOR, commands=True)
         self._report = RegulatorReport(self.diagnostics, fingers)
@@ -206,9 +206,7 @@ class SlipRegulatorNode(TactileNode[SlipRegulatorConfig]):
         self.create_service(Trigger, names.RESET, self._on_reset)
         if not composed:
             latched = qos.latched_qos(qos.USER_DEPTH)
-            self.subscribe(
-                Bool, names.TOUCH_REJECTED, lambda m: self.reject_touch(m.data), profile=latched
-            )
+            self.subscribe(String, names.TOUCH_REJECTED, self._on_touch_rejected, profile=latched)
             self.subscribe(Bool, names.JOINT_HOLD, self._on_joint_hold, profile=latched)
             declared = (streams.contacts(len(fingers)), streams.forces(fingers))
             self._inputs = TickInputs(self, declared, self, observe=self.observe)
@@ -249,10 +247,13 @@ class SlipRegulatorNode(TactileNode[SlipRegulatorConfig]):
         self._regulator.request(force)
         self._changes.add(self._force_publisher, partial(self._encode, (0.0, force, 0.0)))
 
-    def reject_touch(self, rejected: bool) -> None:
-        """Set whether the controller rejects touch; the regulator then does not learn from it."""
-        if self._changes.state(names.TOUCH_REJECTED, rejected):
+    def reject_touch(self, rejected: NDArray[np.bool_]) -> None:
+        """Set the fingers whose touch the controller rejects, shape (k,); see `SlipRegulator`."""
+        if self._changes.state(names.TOUCH_REJECTED, names.listed(self._fingers, rejected)):
             self._regulator.reject_touch(rejected)
+
+    def _on_touch_rejected(self, message: String) -> None:
+        self.reject_touch(np.array(names.is_listed(self._fingers, message.data)))
 
     @property
     def joints_held(self) -> bool:

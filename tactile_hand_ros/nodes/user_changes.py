@@ -36,9 +36,9 @@ class AppliedChanges:
     Publications: `accepted/<node>/parameters` (rcl_interfaces/ParameterEvent: the whole
     configuration in force; at the first tick, when ticks start again and after each change;
     transient local). For nodes with user commands and services, `accepted/<node>/requests`
-    (diagnostic_msgs/DiagnosticArray: one key, the service or topic, with `true`, `false` or
-    nothing) and `rejected/<node>` (diagnostic_msgs/DiagnosticArray: the topic of a rejected command
-    and the reason).
+    (diagnostic_msgs/DiagnosticArray: one key, the service or topic, with its value) and
+    `rejected/<node>` (diagnostic_msgs/DiagnosticArray: the topic of a rejected command and the
+    reason).
     """
 
     def __init__(self, node: TactileNode[Any], name: str, *, commands: bool = False) -> None:
@@ -53,7 +53,7 @@ class AppliedChanges:
                 node.create_publisher(DiagnosticArray, topic, qos.user_qos())
                 for topic in (names.accepted_requests(name), names.rejected(name))
             )
-        self._states: dict[str, bool] = {}
+        self._states: dict[str, bool | str] = {}
         self._answered, self._rejections = 0, 0
 
     def begin(self, config: Config) -> None:
@@ -73,17 +73,17 @@ class AppliedChanges:
 
         self.add(self._parameters, message_at)
 
-    def request(self, service: str, value: bool | None = None) -> None:
+    def request(self, service: str, value: bool | str = "") -> None:
         """Queue a service call or a change of a latched topic, with its value."""
-        text = "" if value is None else str(value).lower()
+        text = value if isinstance(value, str) else str(value).lower()
         self.add(self._requests, lambda stamp_ns: self._about(stamp_ns, service, service, text))
 
-    def state(self, name: str, value: bool) -> bool:
-        """Set a state that survives a restart of the ticks, initially False.
+    def state(self, name: str, value: bool | str) -> bool:
+        """Set a state that survives a restart of the ticks, initially False or empty.
 
         Return whether it has changed.
         """
-        if value == self._states.get(name, False):
+        if value == self._states.get(name, type(value)()):
             return False
         self._states[name] = value
         self.request(name, value)

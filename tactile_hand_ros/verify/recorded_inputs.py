@@ -17,7 +17,7 @@ from tactile_hand_ros.compiled import Array
 from tactile_hand_ros.config.model import Config
 from tactile_hand_ros.control.contact import Contacts
 from tactile_hand_ros.control.laws import Target
-from tactile_hand_ros.run.events import nanoseconds, read_asked
+from tactile_hand_ros.run.events import Asked, nanoseconds, read_asked
 from tactile_hand_ros.run.run import Run
 from tactile_hand_ros.scenario.scenario import Scenario
 
@@ -100,10 +100,16 @@ def read_inputs(run: Run, scenario: Scenario, of_scenario: Collection[str] = ())
     for node in CONTROLLERS:
         first, *later = _configurations(run, node, scenario.node_config(node), of_scenario)
         asked = read_asked(run.messages[run.topics.full(names.accepted_requests(node))])
-        later += [Change(each.stamp, each.key, each.value == "true") for each in asked]
+        later += [Change(each.stamp, each.key, _value(each, record.finger_names)) for each in asked]
         later += commands[node]
         changes[node] = [first, *sorted(later, key=lambda change: change.stamp)]
     return Inputs(record, contacts, measured, changes, scenario.plant.pacing == "realtime")
+
+
+def _value(asked: Asked, fingers: Sequence[str]) -> Any:
+    if asked.key == names.TOUCH_REJECTED:
+        return np.array(names.is_listed(fingers, asked.value))
+    return asked.value == "true"
 
 
 def _poses(run: Run) -> list[Change]:

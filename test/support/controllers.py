@@ -58,6 +58,11 @@ class Bench:
         positions[finger] = rotations[finger] = np.nan
         return Contacts(positions, rotations)
 
+    @property
+    def nowhere(self) -> Contacts:
+        """No contact at any finger."""
+        return Contacts(np.full((3, 3), np.nan), self.contacts.rotations)
+
     def elsewhere(self, *shift: float, turn: tuple[float, ...] = (0.0, 0.0, 0.0)) -> Contacts:
         """Return the contacts after a motion of the grasp about its centroid."""
         rotation = rotation_from_vector(turn)

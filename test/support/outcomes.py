@@ -20,6 +20,20 @@ def run_scenario(name: str, changes: dict) -> Record:
     return ClosedLoop(load_scenario(name, changes)).run()
 
 
+def run_with_failing_skin(name: str, finger: int, fault: str, begins: float, ends: float) -> Record:
+    """Return the record of a scenario until `ends`; the skin of a finger fails at `begins`, s."""
+    loop = ClosedLoop(load_scenario(name, {"duration": ends}))
+    hand, ticks = loop.plant.hand, loop.scenario.ticks
+    record, skin = Record.empty(ticks, hand.finger_names, hand.joint_names), loop.chain.sensor
+    faults = ["none"] * hand.fingers
+    faults[finger] = fault
+    for row in range(ticks):
+        if row == round(ticks * begins / ends):
+            skin.configure(skin.config.model_copy(update={"faults": faults}))
+        loop.tick(record, row)
+    return record
+
+
 class InParallel:
     """Answers of a function on all cores, each of which is waited for only when it is wanted."""
 

@@ -93,7 +93,7 @@ class SlipRegulator:
         weight = finger_weight(load_hand_config(config.hand))
         self._required = RequiredGraspForce(config.reserve, fingers, weight)
         self._response = SlipResponse(config.reflex, config.grasp_force)
-        self._rejected = self._held = False
+        self._rejected, self._held = np.zeros(fingers, dtype=bool), False
         self.reset()
 
     def configure(self, config: SlipRegulatorConfig) -> None:
@@ -130,10 +130,14 @@ class SlipRegulator:
         unknown = np.full((self._fingers, 3), np.nan)
         self.carried = CarriedLoad(unknown, usable, self._required.reserve)
 
-    def reject_touch(self, rejected: bool) -> None:
-        """Ignore touch from the next tick on, or use it again; see `Controller.touch_rejected`."""
-        if rejected and not self._rejected:
+    def reject_touch(self, rejected: NDArray[np.bool_]) -> None:
+        """Ignore the touch of some fingers, shape (k,), from the next tick on.
+
+        See `Controller.touch_rejected`. Without any touch, the load is unknown.
+        """
+        if (rejected & ~self._rejected).any():
             self._forget_slips()
+        if rejected.all() and not self._rejected.all():
             self._required.reset()
         self._rejected = rejected
 
@@ -198,6 +202,8 @@ class SlipRegulator:
         self._last_stamp = stamp
         self._follow_user(dt)
         if contacts is not None and forces is not None:
+            if self._rejected.any() and not self._rejected.all():
+                contacts = contacts.without(self._rejected)
             self._follow_touch(stamp, contacts, forces, dt)
         c = self.config
         goal = self._asked
@@ -230,7 +236,7 @@ class SlipRegulator:
         fresh, self._last = (measured != self._last).any(axis=1), measured.copy()
         forces = in_palm(contacts.rotations, measured, 1.0)
         forces[~touching | self._rejected] = np.nan
-        learns = not (self._rejected or self._held)
+        learns = not (self._rejected.all() or self._held)
         if learns and (not self._kept or stamp - self._kept[-1][0] >= _AGE):
             # To restore it when touch is rejected.
             self._kept = [*self._kept[-1:], (stamp, self._estimator.memory)]
@@ -268,7 +274,7 @@ class SlipRegulator:
         """
         touching, c = contacts.touching, self.config
         fresh, self._last[:, 1] = normal != self._last[:, 1], normal
-        is_known = touching & self._steady & (not (self._rejected or self._held))
+        is_known = touching & self._steady & (not (self._rejected.all() or self._held))
         forces, axes = np.zeros((2, self._fingers, 3))
         axes[:, 1] = 1.0
         forces[:, 1] = np.where(is_known, normal, np.nan)
@@ -293,7 +299,7 @@ class SlipRegulator:
         force, which is not balanced any more.
         """
         touching, grasped = contacts.touching, contacts.enough_touching
-        if self._rejected or not touching.any():
+        if self._rejected.all() or not touching.any():
             self._grasp = None
         elif grasped:
             self._grasp = contacts

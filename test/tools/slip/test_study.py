@@ -132,7 +132,7 @@ def test_a_late_and_slow_skin_is_believed_when_the_object_begins_to_slip(event):
     record = loop.run(1)
     for _ in range(1, loop.scenario.ticks):
         loop.tick(record, 0)
-        assert not loop.controller.touch_rejected
+        assert not loop.controller.touch_rejected.any()
 
 
 def test_a_small_study_gives_its_tables(tmp_path, monkeypatch):

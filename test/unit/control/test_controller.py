@@ -155,7 +155,7 @@ def test_a_move_ends_where_the_grasp_force_nears_its_limit():
 @pytest.mark.parametrize(
     ("given", "reason"),
     [
-        (lambda b: {"contacts": b.without_finger(1)}, "no contact at finger_2"),
+        (lambda b: {"contacts": b.nowhere}, "no contact at finger_1, finger_2, finger_3"),
         (lambda b: {"optimal_forces": np.full((3, 3), np.nan)}, "no optimal force"),
         (lambda b: {"optimal_forces": b.optimal + [[0], [0], [np.nan]]}, "no optimal force"),
         (lambda b: {"grasp_force": float("nan")}, "k_f = nan"),
@@ -246,7 +246,7 @@ def test_a_hold_keeps_what_it_carries_and_only_the_grasp_force_rises_with_the_gr
     force = plain.step(forces=FORCES).torque
     drive = bench.step(50, forces=FORCES).torque
     assert np.linalg.norm(drive - force) > 0.1  # the observed load
-    lost = {"contacts": bench.without_finger(1), "forces": FORCES}
+    lost = {"contacts": bench.nowhere, "forces": FORCES}
     np.testing.assert_allclose(bench.step(**lost).torque, drive, atol=1e-9)
     risen = bench.step(grasp_force=15.0, **lost).torque
     np.testing.assert_allclose(risen - drive, 0.5 * force, atol=1e-9)
@@ -262,7 +262,7 @@ def test_gravity_is_carried_in_every_mode():
     plain = Bench()
     np.testing.assert_allclose(bench.step().torque - plain.step().torque, weight, atol=1e-12)
     for b in (bench, plain):
-        b.held = b.step(contacts=b.without_finger(0)).torque
+        b.held = b.step(contacts=b.nowhere).torque
         b.step()
         b.controller.release()
         b.open = b.step(20).torque
@@ -616,22 +616,22 @@ def test_an_answer_without_an_input_is_withheld_where_a_guard_holds(held):
     bench.step()
     bench.controller.joints_held = held
     assert bench.controller.hold(bench.theta, REST, "silence").do_not_send == held
-    assert not bench.step(contacts=bench.without_finger(1)).do_not_send
+    assert not bench.step(contacts=bench.nowhere).do_not_send
 
 
 def test_inputs_that_do_not_fit_are_doubted_until_they_do():
     bench = Bench(input_timeout=0.1)
-    assert not bench.step().do_not_send and not bench.controller.touch_rejected
+    assert not bench.step().do_not_send and not bench.controller.touch_rejected.any()
     wrong = {"contacts": bench.elsewhere(11.0, 0.0, 0.0)}
-    assert bench.step(**wrong).do_not_send and bench.controller.touch_rejected
-    assert not bench.step(100, **wrong).do_not_send and bench.controller.touch_rejected
+    assert bench.step(**wrong).do_not_send and bench.controller.touch_rejected.all()
+    assert not bench.step(100, **wrong).do_not_send and bench.controller.touch_rejected.all()
     bench.controller.joints_held = True
     assert bench.step(**wrong).do_not_send
-    assert bench.step().mode is Mode.DRIVE and not bench.controller.touch_rejected
+    assert bench.step().mode is Mode.DRIVE and not bench.controller.touch_rejected.any()
     bench.controller.joints_held = False
-    assert bench.step().mode is Mode.DRIVE and not bench.controller.touch_rejected
+    assert bench.step().mode is Mode.DRIVE and not bench.controller.touch_rejected.any()
     assert bench.step(optimal_forces=2.0 * bench.optimal).do_not_send
-    assert not bench.controller.touch_rejected  # touch may be right all the same
+    assert not bench.controller.touch_rejected.any()  # touch may be right all the same
 
 
 @pytest.mark.parametrize("end", ["open", "disabled"])
@@ -641,11 +641,11 @@ def test_a_hand_that_is_open_or_disabled_doubts_nothing(end):
     bench.step()
     wrong = {"contacts": bench.elsewhere(11.0, 0.0, 0.0)}
     bench.step(100, **wrong)
-    assert bench.controller.touch_rejected
+    assert bench.controller.touch_rejected.all()
     if end == "open":
         bench.controller.release()
     bench.controller.enabled = end == "open"
-    assert bench.step(**wrong).mode is Mode(end) and not bench.controller.touch_rejected
+    assert bench.step(**wrong).mode is Mode(end) and not bench.controller.touch_rejected.any()
     bench.controller.reset()
     bench.controller.enabled = True
     assert bench.step(**wrong).do_not_send  # a new doubt
@@ -654,7 +654,7 @@ def test_a_hand_that_is_open_or_disabled_doubts_nothing(end):
 def test_a_grasp_force_that_rises_while_a_contact_is_lost_is_held_and_never_falls():
     bench = Bench()
     bench.step()
-    lost = {"contacts": bench.without_finger(2)}
+    lost = {"contacts": bench.nowhere}
     base = bench.step(**lost).torque
     twice = bench.step(grasp_force=20.0, **lost).torque
     np.testing.assert_allclose(twice - base, base, atol=1e-9)  # at rest all of it is grasp force

@@ -177,11 +177,11 @@ def test_an_imu_in_a_palm_at_rest_does_not_widen_the_tolerance():
 def test_a_new_grasp_starts_without_a_past():
     watch = ForceTorqueCheck(PLANT.hand)
     seen = FORCES, torque(0.2 * FORCES)
-    assert watch.step(0, np.zeros(9), TERMS, CONTACTS, *seen, Tolerances(0.0, 0.3, 0.0)) == ""
+    assert watch.step(0, np.zeros(9), TERMS, CONTACTS, *seen, Tolerances(0.0, 0.3, 0.0)) is None
     assert watch.step(TICK, np.zeros(9), TERMS, CONTACTS, *seen, Tolerances(0.0, 0.3, 0.0))
     watch.reset()
     assert (
-        watch.step(2 * TICK, np.zeros(9), TERMS, CONTACTS, *seen, Tolerances(0.0, 0.3, 0.0)) == ""
+        watch.step(2 * TICK, np.zeros(9), TERMS, CONTACTS, *seen, Tolerances(0.0, 0.3, 0.0)) is None
     )
 
 
@@ -210,7 +210,7 @@ def test_inertia_weight_and_the_time_between_ticks_count():
         assert np.linalg.norm(terms[2]) > 0.5 and np.linalg.norm(moving - terms[2]) > 0.3
         seen.append((stamp, rates, terms, FORCES, torque(FORCES) + moving))
         before = rates
-    assert verdicts(seen, 0.0) == [""] * 4
+    assert verdicts(seen, 0.0) == [None] * 4
     for i in range(1, 4):
         stamp, rates, terms, forces, applied = seen[i]
         assert any(verdicts([*seen[:i], (stamp, rates, terms, forces, applied - terms[2])], 0.0))
@@ -218,7 +218,7 @@ def test_inertia_weight_and_the_time_between_ticks_count():
 
 def test_a_tick_that_comes_again_or_is_older_says_nothing():
     seen = at_rest((4.0, 4.0, 2.0), FORCES, torque(0.2 * FORCES))
-    assert verdicts(seen) == [""] * 3
+    assert verdicts(seen) == [None] * 3
     assert verdicts([*seen, *at_rest((3.0,), FORCES, torque(0.2 * FORCES))])[3]
 
 
@@ -243,7 +243,9 @@ def test_a_finger_may_repeat_its_force_under_a_twentieth_more_torque_and_as_much
     stamps = (1000.0, 1001.0)  # the average has settled
     assert np.abs(torque(FORCES)).max() > 1.1 * np.abs(torque(FORCES)[3:6]).max()
     assert not any(frozen(0.999 * sign * LIMIT, stamps))
-    assert frozen(1.001 * sign * LIMIT, stamps)[-1].startswith("the forces of a finger do not")
+    assert frozen(1.001 * sign * LIMIT, stamps)[-1].reason.startswith(
+        "the forces of a finger do not"
+    )
     assert not any(frozen(5.0 * sign * LIMIT, stamps, joint=1))  # of another finger
 
 

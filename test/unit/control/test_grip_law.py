@@ -45,7 +45,7 @@ def test_it_presses_from_its_posture_which_a_hold_keeps():
     wanted = pressing(bench, 10.0, theta) - bench.stiffness(theta) @ AWAY
     driven = bench.step(forces=normal(bench), theta=theta)
     np.testing.assert_allclose(driven.torque, wanted, atol=1e-9)
-    held = bench.step(theta=theta, contacts=bench.without_finger(2))
+    held = bench.step(theta=theta, contacts=bench.nowhere)
     assert (driven.mode, held.mode) == (Mode.DRIVE, Mode.HOLD)
     np.testing.assert_allclose(held.torque, wanted, atol=1e-9)
     again = bench.step(forces=normal(bench), theta=theta)
@@ -84,7 +84,7 @@ def test_its_integral_carries_a_load_by_motions_that_keep_the_contacts():
     most = bench.step(5000, forces=normal(bench), theta=theta)
     spring = pressing(bench, 10.0, theta) - bench.stiffness(theta) @ AWAY
     assert np.abs(most.torque - spring).max() == pytest.approx(10.0)
-    held = bench.step(theta=theta, contacts=bench.without_finger(0)).torque
+    held = bench.step(theta=theta, contacts=bench.nowhere).torque
     np.testing.assert_allclose(held, most.torque, atol=1e-9)
 
 

@@ -111,15 +111,15 @@ def test_an_obstacle_off_the_skin_is_pressed_softly(tmp_path):
     assert np.linalg.norm(record.object_position[-1] - record.object_position[0]) < 2e-3
 
 
-def test_fewer_than_three_hold_the_posture(tmp_path):
+def test_without_any_touch_the_posture_is_held(tmp_path):
     loop = ClosedLoop(scenario_of(tmp_path, 4, 0.1, {}))
     assert np.isfinite(loop.run(50).auxiliary_position).all()
-    state, contacts = loop.state, without(loop, 0, 1)
+    state, contacts = loop.state, without(loop, 0, 1, 2, 3)
     shape = loop.optimizer.step(loop.stamp, contacts).forces
     command = loop.controller.step(
         loop.stamp, state.joints.theta, np.zeros(12), contacts, shape, 10.0
     )
-    assert command.mode is Mode.HOLD and "f1, f2" in command.reason
+    assert command.mode is Mode.HOLD and "f1, f2, f3, f4" in command.reason
     assert loop.controller.missing == ""
 
 

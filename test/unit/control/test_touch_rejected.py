@@ -85,7 +85,7 @@ def test_the_time_of_implausible_inputs_restarts_after_their_end(end):
 
 
 def lose(bench):
-    bench.step(contacts=bench.without_finger(1))
+    bench.step(contacts=bench.nowhere)
 
 
 def retake(bench):
@@ -146,7 +146,7 @@ def test_a_forgotten_grasp_force_raises_nothing(risen):
     bench, left = Bench(), np.linspace(-0.4, 0.6, 9)
     bench.step()
     if risen:
-        bench.step(contacts=bench.without_finger(1), grasp_force=20.0)
+        bench.step(contacts=bench.nowhere, grasp_force=20.0)
     bench.controller.forget()
     held = bench.controller.hold(bench.theta, REST, "silence", 30.0, left)
     np.testing.assert_allclose(held.torque, left, atol=1e-12)
@@ -157,7 +157,7 @@ def test_a_held_grasp_force_rises_as_far_as_the_joints_can_bear_and_keeps_its_sh
     hand = bench.controller.hand
     limits, weight = hand.effort_limits, hand.gravity_torque(bench.theta)
     force = bench.step().torque - weight
-    given = bench.step(contacts=bench.without_finger(0), grasp_force=1e4).torque
+    given = bench.step(contacts=bench.nowhere, grasp_force=1e4).torque
     assert np.abs(given / limits).max() == pytest.approx(1.0)
     share = (given - weight) @ force / (force @ force)
     assert share > 3.0

@@ -11,7 +11,7 @@ from rcl_interfaces.msg import ParameterEvent
 from rclpy.parameter import Parameter
 from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import JointState, JoyFeedbackArray
-from std_msgs.msg import Bool, Float64
+from std_msgs.msg import Float64, String
 from std_srvs.srv import SetBool, Trigger
 from support.messages import pose_message
 from support.nodes import counts, facts, tapped
@@ -221,16 +221,29 @@ def test_that_touch_is_rejected_is_noted_once_and_stays_when_ticks_start_over(he
     node = here.make(SlipRegulatorNode)
     topic = names.accepted_requests(node.get_name())
     here.receive(DiagnosticArray, topic)
-    for stamp, rejected in enumerate([False, True, True]):
+    for stamp, rejected in enumerate(np.array([[0, 0, 0], [0, 1, 1], [0, 1, 1]], dtype=bool)):
         node.reject_touch(rejected)
         tick(node, stamp)
     node.on_restart()
     tick(node, 0)
-    node.reject_touch(False)
+    node.reject_touch(np.zeros(3, dtype=bool))
     tick(node, 5)
     told = names.TOUCH_REJECTED
-    expected = [(told, "true", 1), (told, "true", 0), (told, "false", 5)]
+    expected = [(told, "finger_2, finger_3", at) for at in (1, 0)] + [(told, "", 5)]
     assert asked(here.messages(topic, 3)) == expected
+
+
+def test_the_rejected_fingers_are_read_by_name_and_unknown_ones_refused(here):
+    node = here.make(SlipRegulatorNode, composed=False)
+    topic, asking = names.TOUCH_REJECTED, names.accepted_requests(node.get_name())
+    here.receive(DiagnosticArray, asking)
+    here.send(topic, String(data="finger_3, finger_1"), qos.latched_qos())
+    stamps = iter(range(0, 10_000 * TICK, TICK))
+    here.wait(lambda: tick(node, next(stamps)) and here.messages(asking, 0))
+    assert asked(here.messages(asking, 1))[0][:2] == (topic, "finger_1, finger_3")
+    for data in ("thumb", "finger_1,finger_2"):
+        here.send(topic, String(data=data), qos.latched_qos())
+    here.wait(lambda: counts(node, "rejected").get(topic) == 2)
 
 
 def test_without_an_answer_f_is_nan_and_the_reason_a_fault(here):
@@ -296,7 +309,7 @@ def test_an_answer_that_is_better_not_sent_is_sent_when_time_waits_for_it(here):
         tick(node, stamp * TICK)
     command = tick(node, 3 * TICK, contacts=ODD)
     assert command.do_not_send and len(sent["joint_command"]) == 3
-    assert node.touch_rejected
+    assert node.touch_rejected.all()
     node.on_repeat()  # the same tick again
     assert torque(sent)[0] == 3 * TICK
     np.testing.assert_array_equal(torque(sent)[1], command.torque)
@@ -473,9 +486,10 @@ def test_services_change_the_controller_and_report_the_result(here):
 
 def test_that_touch_is_rejected_is_published_when_it_begins_and_when_it_ends(here):
     node = here.make(ManipulationControllerNode)
-    here.receive(Bool, names.TOUCH_REJECTED, qos.latched_qos(10))
+    here.receive(String, names.TOUCH_REJECTED, qos.latched_qos(10))
+    every = ", ".join(HAND.finger_names)
     stamps = iter(range(0, 10 * TICK, TICK))
-    for expected, changes in ([False], {}), ([False, True], {"contacts": ODD}):
+    for expected, changes in ([""], {}), (["", every], {"contacts": ODD}):
         for _ in range(2):
             tick(node, next(stamps), **changes)
         found = here.messages(names.TOUCH_REJECTED, len(expected))

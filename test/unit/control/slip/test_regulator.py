@@ -17,6 +17,7 @@ from tactile_hand_ros.rotations import rotation_from_vector
 
 UNKNOWN, STICK, SLIP = ContactState.UNKNOWN, ContactState.STICK, ContactState.SLIP
 TICK = 2_000_000
+ALL = np.ones(3, dtype=bool)
 NO_RESERVE = {"floor": 0.0, "fraction": 0.0}
 
 
@@ -279,11 +280,29 @@ def test_a_grasp_a_hundredth_as_thin_as_long_carries_something():
 def test_while_touch_is_rejected_nothing_is_carried():
     slip = regulator(mode="auto")
     run(slip, 300, forces=3.0 * FORCES)
-    slip.reject_touch(True)
+    slip.reject_touch(ALL)
     assert np.isnan(carried(slip, three_faces(), FORCES).load).all()
-    slip.reject_touch(False)
+    slip.reject_touch(~ALL)
     found = carried(slip, three_faces(), FORCES, at=1001).load
     np.testing.assert_allclose(found, carried(regulator(), three_faces(), FORCES).load, atol=1e-12)
+
+
+@pytest.mark.parametrize("finger", range(3))
+def test_the_rejected_touch_of_one_finger_counts_as_none(finger):
+    unfelt = np.arange(3) == finger
+    rejecting, without = regulator(mode="auto"), regulator(mode="auto")
+    for slip in (rejecting, without):
+        run(slip, 300, forces=3.0 * FORCES)
+    rejecting.reject_touch(unfelt)
+    for i in range(300, 600):
+        wrong = np.where(unfelt[:, None], 9.0 * np.sin(i), 3.0 * FORCES)
+        before = rejecting.grasp_force
+        assert rejecting.step(i * TICK, three_faces(), wrong) >= before > 10.0
+        blank = np.where(unfelt[:, None], 0.0, 3.0 * FORCES)
+        without.step(i * TICK, three_faces().without(unfelt), blank)
+        assert rejecting.needed == pytest.approx(without.needed, rel=0.01)
+        learned = rejecting.learned_friction, without.learned_friction
+        np.testing.assert_allclose(*learned, rtol=0.01)  # that of the last 40 ms is forgotten
 
 
 def test_jerks_along_the_grasp_force_of_each_finger_are_no_slip():
@@ -331,11 +350,11 @@ def test_a_rejected_touch_changes_neither_the_grasp_force_nor_what_was_learned(l
         misled.step(i * TICK, three_faces(), wrong)
     held = misled.grasp_force
     assert held > blind.grasp_force + 4.0
-    misled.reject_touch(True)
+    misled.reject_touch(ALL)
     for i in range(300 + late, 550):
         assert misled.step(i * TICK, three_faces(), wrong) == held
     assert (misled.state == UNKNOWN).all()
-    misled.reject_touch(False)
+    misled.reject_touch(~ALL)
     random = np.random.default_rng(8)
     for i in range(550, 2000):
         forces = FORCES + 0.005 * random.standard_normal((3, 3))
@@ -354,10 +373,10 @@ def test_a_rejected_touch_leaves_neither_friction_nor_load_behind():
         shaken = 4.0 * FORCES * [0.2, 1.0, 0.2] + 0.4 * random.standard_normal((3, 3))
         slip.step(i * TICK, three_faces(), shaken)
     assert (slip.learned_friction < 0.9 * known).any()
-    slip.reject_touch(True)
+    slip.reject_touch(ALL)
     np.testing.assert_allclose(slip.learned_friction, known, rtol=0.01)
     slip.step(310 * TICK, three_faces(), FORCES)
-    slip.reject_touch(False)
+    slip.reject_touch(~ALL)
     for i in range(311, 400):
         slip.step(i * TICK, three_faces(), FORCES)
     assert slip.ready == pytest.approx(ready, rel=0.03)
@@ -367,10 +386,10 @@ def test_a_load_that_has_come_while_touch_was_doubted_is_met_at_once():
     slip = regulator(mode="auto")
     heavy = FORCES + [[0.0, 0.0, 2.0], [0.0, 0.0, 2.0], [0.0, 0.0, 0.0]]
     run(slip, 300)
-    slip.reject_touch(True)
+    slip.reject_touch(ALL)
     for i in range(300, 400):
         before = slip.step(i * TICK, three_faces(), heavy)
-    slip.reject_touch(False)
+    slip.reject_touch(~ALL)
     assert slip.step(400 * TICK, three_faces(), heavy) == slip.needed > before + 0.5
 
 
@@ -453,7 +472,7 @@ def test_the_palm_may_be_turned_in_any_way(way):
 
 def test_a_regulator_without_a_past_keeps_its_grasp_force_while_touch_is_doubted():
     slip = regulator(mode="auto", grasp_force=7.0)
-    slip.reject_touch(True)
+    slip.reject_touch(ALL)
     assert {slip.step(i * TICK, three_faces(), 9.0 * FORCES) for i in range(100)} == {7.0}
 
 
