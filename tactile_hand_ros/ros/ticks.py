@@ -69,11 +69,6 @@ class StampMatcher:
             del self.pending[next(iter(self.pending))]  # the first to arrive
         return None
 
-    def missing(self, stamp_ns: int) -> list[str]:
-        """Return the missing keys of a timestamp [ns]; an empty list if it is not pending."""
-        values = self.pending.get(stamp_ns)
-        return [] if values is None else [key for key in self.keys if key not in values]
-
     def rarest(self) -> list[str]:
         """Return the keys that fewest pending timestamps have, or one more than that.
 
@@ -248,7 +243,7 @@ class TickInputs:
         if stamp == self._matcher.last:  # already answered; the answer may be lost
             if not self._waiting:  # else a newer answer follows
                 self._listener.on_repeat()
-        elif not self._match(self._trigger, stamp, value) and self._matcher.missing(stamp):
+        elif not self._match(self._trigger, stamp, value) and stamp in self._matcher.pending:
             self._note_alone(stamp, value)
 
     def _is_unconfirmed(self, stamp: int) -> bool:

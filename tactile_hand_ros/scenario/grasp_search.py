@@ -210,15 +210,17 @@ class _Problem:
         self._half, self._shape = 0.5 * np.array(body.size), body.solid().shape
         self._sides = np.where(np.arange(hand.fingers) == alone, -1.0, 1.0)  # of the box
         self._others = self._sides > 0.0
-        # Axes that end in edges: of a cylinder its own, of other round bodies none.
-        sideways = [i for i in range(3) if i != axis]
-        self._across = {"box": sideways, "cylinder": [2]}.get(body.shape, [])
+        self._across = self._to_edges(body)
         self._edges = self._half[self._across]
         self._pairs = list(itertools.combinations(range(hand.fingers), 2))
         lower, upper = (np.clip(limit, -np.pi, np.pi) for limit in hand.position_limits)
         self._lower, self._upper = lower, upper
         self._span = np.maximum(upper - lower, _NO_SPAN)
         self._scale = float(self._half.min())
+
+    def _to_edges(self, body: ObjectConfig) -> list[int]:
+        """Return the axes along which the sides of a body end in edges."""
+        return [i for i in range(3) if i != self._axis]
 
     def solve(self, random: Any, friction: float) -> FoundGrasp:
         """Return a grasp from a random posture.
@@ -343,6 +345,9 @@ class _Problem:
 
 class _RoundProblem(_Problem):
     """The same for a round body, whose contacts may be anywhere on its side."""
+
+    def _to_edges(self, body: ObjectConfig) -> list[int]:
+        return [2] if body.shape == "cylinder" else []
 
     def _touched(self, tips: Array) -> tuple[Array, Array]:
         found = [closest_point(self._shape, tip) for tip in tips]
