@@ -71,6 +71,8 @@ class Contacts:
 
     def without(self, missing: NDArray[np.bool_]) -> Contacts:
         """Return the contacts without those of the fingers in a mask of shape (k,)."""
+        if not missing.any():
+            return self
         return Contacts(np.where(missing[:, None], np.nan, self.positions), self.rotations)
 
     @property

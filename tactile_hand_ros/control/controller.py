@@ -199,14 +199,14 @@ class Controller:
     """Answers each tick with joint torques, from joints and touch alone.
 
     Without a target the grasp stays where it was first seen. The hand holds its posture and its
-    last good grasp force when a contact, f* or k_f is missing or implausible, or the contacts lie
-    on a line. The spring of the hold is as stiff as the tick period allows; see `holds`.
+    last good grasp force when f*, k_f or a contact that the joints cannot replace is missing or
+    implausible, or the contacts lie on a line. The spring of the hold is as stiff as the tick period allows; see `holds`.
 
     Attributes:
         targets: Desired poses: the one in force, and those that wait.
         enabled: Whether the law acts; otherwise the hand only damps.
         touch_rejected: Fingers whose touch does not fit the joints, so that nothing must be learned
-            from it, shape (k,). None while the hand is open or disabled.
+            from it, shape (k,). No finger while the hand is open or disabled.
         joints_held: Whether a guard holds the joints, so that these torques do not reach them. The
             integral and the reference wait meanwhile.
         warning: Why a hold could not keep this grasp; empty if it could.
@@ -390,14 +390,15 @@ class Controller:
             if not self._regrasped(contacts):
                 return self._open(theta, rates, contacts, dt)
             dt = 0.0  # no time has passed in the new grasp
-        is_blind = self._mode is Mode.DRIVE and not self._enough(contacts)
+        self.touch_rejected = np.zeros(self.hand.fingers, dtype=bool)
+        is_blind = self._mode in (Mode.DRIVE, Mode.HOLD) and not self._enough(contacts)
         held = self._touching if is_blind else contacts.touching
         touch = forces if forces is None else forces[held]
         measured = contacts.part(held), optimal_forces[held], grasp_force, touch, applied
         now, self._unfelt = _Tick(stamp, theta, rates, *measured, dt), ~held[held]
         if is_blind:
             now = self._with_unfelt(now, ~now.contacts.touching) or now
-        problem = self._missing(contacts, now) or self._unmeasured(forces)
+        problem = self._missing(contacts, now) or self._unmeasured(now.forces)
         if problem:
             self._inputs.start_grasp()
             return self._holding(theta, rates, problem, grasp_force, applied)
@@ -407,7 +408,7 @@ class Controller:
             return self._reject_inputs(stamp, theta, rates, problem, applied)
         self._implausible_since = None
         if not self._unfelt.any():
-            self._unfelt_touch.feel(theta, now.contacts)
+            self._unfelt_touch.feel(theta, now.contacts, now.forces)
             self._shape = now.optimal_forces
         try:
             return self._drive(now, tips, contacts)
@@ -417,10 +418,10 @@ class Controller:
     def _with_unfelt(self, now: _Tick, unfelt: NDArray[np.bool_]) -> _Tick | None:
         """Return a tick with the touch of some fingers from their joints, and the last f* of all.
 
-        The mask `unfelt` has the shape (k,) of the tick. None if touch is unknown.
+        The mask `unfelt` has the shape (k,) of the tick. None if touch is unknown. The torques are
+        the sent ones, since reported ones may be what does not fit the touch.
         """
-        torque = self._sent if now.applied is None else now.applied
-        torque = torque - self.hand.gravity_torque(now.theta)
+        torque = self._sent - self.hand.gravity_torque(now.theta)
         touch = self._unfelt_touch.filled(now.theta, now.contacts, now.forces, unfelt, torque)
         if touch is None:
             return None
@@ -467,7 +468,8 @@ class Controller:
         passes = now.elapsed > 0.0 and all_finite(now.rates)
         seen = now.rates if passes else None, tips, now.contacts
         limits = self.config.touch_latency, self.config.hold.resolution
-        since = self._late_touch.step(now.stamp, now.theta, *seen, self._period, *limits)
+        felt = ~self._unfelt
+        since = self._late_touch.step(now.stamp, now.theta, *seen, felt, self._period, *limits)
         ticks = (self._delay.ticks or 0) + (0.0 if self.config.midpoint_hold else 0.5)
         ahead = ticks * self._period * now.rates if passes else self._none
         if not (since + ahead).any():
@@ -505,7 +507,7 @@ class Controller:
         if c.law.name != "grip" or forces is None:
             return grasp_force
         age = c.touch_latency + (0.5 + self._delay.allowed) * self._period
-        passed = 0.0 if self.joints_held else dt
+        passed = 0.0 if self.joints_held or self._unfelt.any() else dt
         shown = optimal_forces[:, 1], forces[:, 1]
         limit = c.law.integral.force_limit
         crush = c.grasp_force_limit if c.grasp_force_limit > 0.0 else math.inf
@@ -541,9 +543,9 @@ class Controller:
         return np.where(jacobian.any(axis=0), np.clip(closing, -limits, limits), torque)
 
     def _checked(self, now: _Tick) -> tuple[_Tick, Fingertips, str]:
-        """Return a tick without implausible touch, its fingertips, and what remains implausible.
+        """Return a tick, its fingertips, and why it is implausible; empty if it is not.
 
-        If only some fingers are, the others and the joints replace their touch.
+        If the touch of some fingers is, the others and the joints replace it.
         """
         pressing, c = None, self.config
         # Only forces that the law uses are compared.
@@ -555,11 +557,16 @@ class Controller:
         )
         seen = now.contacts, limits, pressing, self._palm
         tips, doubt = self._inputs.step(now.stamp, now.theta, now.rates, *seen)
-        self.touch_rejected, problem = np.zeros(self.hand.fingers, dtype=bool), ""
+        problem = ""
         if doubt is not None:
-            others = self._with_unfelt(now, self._unfelt | doubt.fingers)
-            self.touch_rejected[self._touching] = True if others is None else doubt.fingers
-            now, problem = (now, doubt.reason) if others is None else (others, "")
+            is_blind = self._unfelt.any()
+            if is_blind:  # a finger that loses its object jolts the others
+                self._unfelt_touch.lose()
+            others = self._with_unfelt(now, doubt.fingers)
+            if others is None:
+                problem, self.touch_rejected[:] = doubt.reason, not is_blind
+            else:
+                now, self.touch_rejected[self._touching] = others, doubt.fingers
         return now, tips, problem or self._implausible(now.optimal_forces, now.grasp_force)
 
     def _stopped(self, now: _Tick, pose: AuxiliaryPose) -> str:

@@ -33,7 +33,7 @@ class Doubt(NamedTuple):
     """A disagreement between joints and touch.
 
     Attributes:
-        reason: Why; empty if they agree.
+        reason: Why.
         fingers: The fingers whose touch may be wrong, shape (k,).
     """
 
@@ -280,8 +280,12 @@ class InputCheck:
             doubt = self._forces.step(stamp, rates, terms, contacts, *pressing, limits, palm)
         radii = self._hand.radii
         allowed = np.full(len(radii), limits.touch) if limits.touch > 0.0 else OFF_TIP * radii
-        gap = implausible_touch(tips, contacts, radii, allowed)
-        return tips, doubt or gap or self._frozen(theta, contacts, allowed)
+        away = implausible_touch(tips, contacts, radii, allowed)
+        away = away or self._frozen(theta, contacts, allowed)
+        if away is None or (doubt is not None and not (away.fingers & ~doubt.fingers).any()):
+            return tips, doubt
+        # The joints or the touch are wrong; nobody knows which.
+        return tips, Doubt(away.reason, np.ones_like(away.fingers))
 
     def _frozen(self, theta: Array, contacts: Contacts, allowed: Array) -> Doubt | None:
         """Return whether the joint angles repeat bit for bit while contacts move."""

@@ -21,6 +21,7 @@ from tactile_hand_ros.hand.hand import Fingertips, Hand
 _WINDOW = 64  # number of angles; at rest their slope is one angle error over all of them
 _ROUNDING = 0.01  # of the error, so that angles one step apart count as a line
 _DELAY_TICKS = 64  # over which differences of torques are averaged
+_SHOWN = 0.1  # smallest lever of a force that torques show, as a fraction of the largest
 _SHORTEST = 1e-9  # m, keeps the distance of a contact from itself regular
 _AGE_SAMPLES = 64  # over which the age of touch is averaged
 
@@ -259,18 +260,24 @@ class UnfeltTouch:
 
     A finger that loses its object moves on, since nothing resists it. While the points of the
     fingers at the contacts keep their distances, as on a rigid object, the skin has failed instead.
-    The contact then moves with the joints, and its force is that of their torques (3).
+    The contact then moves with the joints, and its force is that of the torques at rest (3).
     """
 
     def __init__(self, hand: Hand) -> None:
         """Start without a grasp of a hand."""
         self._hand, self._allowed = hand, OFF_TIP * hand.radii
         self._last: tuple[Array, Contacts] | None = None  # joint angles, and their contacts
+        self._forces: Array | None = None
         self._strained = np.zeros((hand.fingers, hand.fingers))  # change of the distances, m
 
-    def feel(self, theta: Array, contacts: Contacts) -> None:
-        """Record joint angles, shape (m,), rad, and the contacts of all fingers."""
-        self._last, self._strained = (theta, contacts), np.zeros_like(self._strained)
+    def feel(self, theta: Array, contacts: Contacts, forces: Array | None) -> None:
+        """Record the joint angles, contacts and forces of a tick at which all are felt."""
+        self._last, self._forces = (theta, contacts), forces
+        self._strained = np.zeros_like(self._strained)
+
+    def lose(self) -> None:
+        """Forget the contacts, until all are felt again."""
+        self._last = None
 
     def filled(
         self,
@@ -298,15 +305,25 @@ class UnfeltTouch:
         levers = hand_jacobian(tips, *touch)
         self._strained += _stretched(last, levers @ moved)
         if (np.abs(self._strained).max(axis=1) > self._allowed)[unfelt].any():
-            self._last = None
+            self.lose()
             return None
         here = Contacts(*carried_along(tips, *touch, moved))
         filled = contacts.replaced(unfelt, here.part(unfelt))
         self._last = theta, filled
-        if forces is not None:
-            pressed = np.linalg.lstsq(levers.reshape(-1, len(theta)).T, torque)[0]
-            forces = np.where(unfelt[:, None], pressed.reshape(-1, 3), forces)
+        if forces is not None and self._forces is not None:
+            pressed = _pressed(levers.reshape(-1, len(theta)).T, torque, self._forces)
+            forces = np.where(unfelt[:, None], pressed, forces)
         return filled, forces
+
+
+def _pressed(levers: Array, torque: Array, last: Array) -> Array:
+    """Return the forces that a torque shows, shape (k, 3), N.
+
+    What it does not show, of a straight finger or one with fewer than three joints, stays the last.
+    """
+    before = np.nan_to_num(last).ravel()
+    change = np.linalg.lstsq(levers, torque - levers @ before, rcond=_SHOWN)[0]
+    return (before + change).reshape(-1, 3)
 
 
 def _stretched(contacts: Contacts, moved: Array) -> Array:
@@ -341,6 +358,7 @@ class LateTouch:
         rates: Array | None,
         tips: Fingertips,
         contacts: Contacts,
+        felt: NDArray[np.bool_],
         tick: float,
         largest: float,
         error: float,
@@ -353,6 +371,7 @@ class LateTouch:
             rates: Joint rates, shape (m,), rad/s; None to learn nothing from this tick.
             tips: Fingertip centers and Jacobians.
             contacts: Contacts; all fingers touch.
+            felt: Whether they are measured, shape (k,).
             tick: Time between ticks, s. Contacts younger than half of it are new.
             largest: Largest possible age, s.
             error: Largest error of an angle, rad.
@@ -360,8 +379,8 @@ class LateTouch:
         self._past.append((stamp, theta))
         while self._past[0][0] < stamp - 1e9 * largest:
             self._past.popleft()
-        if self._sample is None or (contacts.positions != self._sample[0]).any():
-            if rates is not None and largest > 0.0:
+        if self._sample is None or (contacts.positions != self._sample[0])[felt].any():
+            if rates is not None and largest > 0.0 and felt.all():
                 self._age.step(tips, rates, contacts, self._radii, largest, error)
             age = self._age.age
             then = theta if age < 0.5 * tick else self._angles_at(stamp - 1e9 * age)

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The manipulation controller: joint torques that hold and move the object.
 
-Safe state: it holds the posture and the last good grasp force if f*, k_f, too many contacts or,
-with an observed load, a force is missing or NaN. It also holds if joint states come without the
+Safe state: it holds the posture and the last good grasp force if f*, k_f or a contact that the
+joints cannot replace or, with an observed load, a force is missing or NaN. It also holds if joint states come without the
 other inputs for `input_timeout`; `/diagnostics` then names the missing inputs. The hold ends when a
 tick is complete again. A malformed or unreachable desired pose is counted and dropped, and the
 target stays. Without joint states the controller is silent. Then, and when it crashes, the plant

@@ -202,8 +202,6 @@ class SlipRegulator:
         self._last_stamp = stamp
         self._follow_user(dt)
         if contacts is not None and forces is not None:
-            if self._rejected.any() and not self._rejected.all():
-                contacts = contacts.without(self._rejected)
             self._follow_touch(stamp, contacts, forces, dt)
         c = self.config
         goal = self._asked
@@ -223,10 +221,12 @@ class SlipRegulator:
 
     def _follow_touch(self, stamp: int, contacts: Contacts, measured: Array, dt: float) -> None:
         """Update slip, friction and the needed grasp force from touch."""
-        touching, normals = contacts.touching, contacts.normals
-        if not touching.any():
+        if not contacts.touching.any():
             self._estimator.reset()  # the next object may be another one
             self._raised = 0.0
+        if not self._rejected.all():
+            contacts = contacts.without(self._rejected)
+        touching, normals = contacts.touching, contacts.normals
         unknown = np.isnan(measured[:, ::2])
         if unknown.all():
             self._follow_normals(contacts, measured[:, 1], dt)
@@ -241,7 +241,7 @@ class SlipRegulator:
             # To restore it when touch is rejected.
             self._kept = [*self._kept[-1:], (stamp, self._estimator.memory)]
         parts, at = self._split(contacts, forces)
-        grasped = contacts.enough_touching
+        grasped = self._is_grasped(contacts)
         axes = parts.internal if parts is not None and grasped else normals
         seen = forces if learns else np.full_like(forces, np.nan)
         slips, slides = self._watch(seen, normals, axes, fresh, dt)
@@ -291,6 +291,10 @@ class SlipRegulator:
         goal = max(self._raised, self._asked)
         self._response.step(goal, False, False, touching, c.maximum, dt)
 
+    def _is_grasped(self, contacts: Contacts) -> bool:
+        """Return whether contacts balance by themselves; a rejected finger presses, too."""
+        return contacts.enough_touching and not self._rejected.any()
+
     def _split(self, contacts: Contacts, forces: Array) -> tuple[Split | None, Array]:
         """Return the split of a grasp's forces and its normals, shape (k, 3), NaN: not grasped.
 
@@ -298,7 +302,7 @@ class SlipRegulator:
         force. The load is then the part of the other forces without the direction of their internal
         force, which is not balanced any more.
         """
-        touching, grasped = contacts.touching, contacts.enough_touching
+        touching, grasped = contacts.touching, self._is_grasped(contacts)
         if self._rejected.all() or not touching.any():
             self._grasp = None
         elif grasped:

@@ -111,6 +111,21 @@ def test_an_obstacle_off_the_skin_is_pressed_softly(tmp_path):
     assert np.linalg.norm(record.object_position[-1] - record.object_position[0]) < 2e-3
 
 
+def test_a_hand_of_four_presses_on_where_the_touch_of_one_is_rejected(tmp_path):
+    """The other three do not balance alone, so that what they lack is no load."""
+    loop = ClosedLoop(scenario_of(tmp_path, 4, 0.6, {}))
+    record = Record.empty(600, loop.plant.hand.finger_names, loop.plant.hand.joint_names)
+    skin = loop.chain.sensor
+    for row in range(600):
+        if row == 300:
+            faults = ["none", "wrong", "none", "none"]
+            skin.configure(skin.config.model_copy(update={"faults": faults}))
+        loop.tick(record, row)
+    np.testing.assert_array_equal(loop.controller.touch_rejected, [False, True, False, False])
+    assert record.grasp_force.max() < 2.0 * record.grasp_force[299]
+    assert record.true_forces[-1, :, 1].min() > 3.0 and record.true_slid.max() < 1e-4
+
+
 def test_without_any_touch_the_posture_is_held(tmp_path):
     loop = ClosedLoop(scenario_of(tmp_path, 4, 0.1, {}))
     assert np.isfinite(loop.run(50).auxiliary_position).all()

@@ -4,15 +4,19 @@
 import numpy as np
 import pytest
 from support.controllers import REST, Bench
+from support.grasps import contacts_at
+from support.hands import write_hand
 
-from tactile_hand_ros.control.contact import hand_jacobian, in_palm, joint_torques
+from tactile_hand_ros.control.contact import Contacts, hand_jacobian, in_palm, joint_torques
 from tactile_hand_ros.control.controller import Mode
 from tactile_hand_ros.control.grasp import grasp_map
-from tactile_hand_ros.control.sensing import UnfeltTouch
+from tactile_hand_ros.control.sensing import LateTouch, UnfeltTouch
+from tactile_hand_ros.hand.hand import Hand
 
 FORCES = np.array([[0.3, 4.0, -0.2], [0.1, 2.5, 0.6], [-0.4, 3.0, 0.5]])
 NONE, FIRST = np.zeros(3, dtype=bool), np.array([True, False, False])
 FEELS = {"law__observer__time": 0.02, "touch_latency": 0.0}
+STEADY = np.linspace(-0.5, 0.7, 9)
 IDENTITIES = np.tile(np.eye(3), (3, 1, 1))
 
 
@@ -53,7 +57,7 @@ def test_a_finger_that_stays_presses_on_unfelt_and_one_that_leaves_its_place_doe
 def test_the_contact_of_an_unfelt_finger_moves_with_the_object():
     bench = Bench()
     touch = UnfeltTouch(bench.controller.hand)
-    touch.feel(bench.theta, bench.contacts)
+    touch.feel(bench.theta, bench.contacts, FORCES)
     theta, twist = bench.theta, np.array([2e-4, -1e-4, 1e-4, 4e-4, 8e-4, -6e-4])
     for _ in range(100):
         theta = carried(bench, theta, twist)
@@ -69,7 +73,7 @@ def test_its_force_is_that_of_its_torques():
     bench = Bench()
     hand, touch = bench.controller.hand, UnfeltTouch(bench.controller.hand)
     assert touch.filled(bench.theta, bench.contacts, FORCES, FIRST, REST) is None  # not yet felt
-    touch.feel(bench.theta, bench.contacts)
+    touch.feel(bench.theta, bench.contacts, FORCES)
     press = in_palm(bench.contacts.rotations, FORCES, 1.0)
     torque = joint_torques(*hand.fingertips(bench.theta), bench.contacts.positions, press)
     measured = np.where(FIRST[:, None], 7.0, FORCES)
@@ -78,20 +82,91 @@ def test_its_force_is_that_of_its_torques():
     assert touch.filled(bench.theta, bench.contacts, FORCES, ~NONE, torque) is None
 
 
+def test_what_the_torques_of_two_joints_do_not_show_stays_as_it_was_felt(tmp_path):
+    hand = Hand.load(str(write_hand(tmp_path, [2, 3, 3])))
+    theta = np.array([0.3, 0.9, 0.1, 0.4, 0.8, -0.1, 0.5, 0.7])
+    tips = hand.fingertips(theta)
+    outward = tips.positions - tips.positions.mean(axis=0)
+    normals = -outward / np.linalg.norm(outward, axis=1)[:, None]
+    contacts = contacts_at(tips.positions + hand.radii[:, None] * normals, normals)
+    press = in_palm(contacts.rotations, FORCES, 1.0)
+    torque = joint_torques(*tips, contacts.positions, press)
+    touch = UnfeltTouch(hand)
+    touch.feel(theta, contacts, FORCES + [[0.4, -0.7, 0.9], [1.0, 1.0, 1.0], [2.0, 2.0, 2.0]])
+    _, forces = touch.filled(theta, contacts, FORCES, ~FIRST, torque)
+    np.testing.assert_allclose(forces, FORCES, atol=1e-9)
+    _, forces = touch.filled(theta, contacts, FORCES, FIRST, torque)
+    levers = hand_jacobian(tips, contacts.positions, contacts.rotations)[0]
+    changed = forces[0] - FORCES[0] - [0.4, -0.7, 0.9]
+    assert np.abs(forces[0] - FORCES[0]).max() > 0.1
+    np.testing.assert_allclose(levers.T @ (forces[0] - FORCES[0]), 0.0, atol=1e-9)
+    hidden = np.cross(*np.linalg.svd(levers.T)[2][:2])
+    assert changed @ hidden == pytest.approx(0.0, abs=1e-9)
+
+
 @pytest.mark.parametrize("finger", range(3))
-def test_the_wrong_force_of_one_finger_is_replaced_and_only_its_touch_rejected(finger):
+@pytest.mark.parametrize("fault", ["force", "motor"])
+def test_where_force_and_torque_of_one_finger_disagree_only_its_touch_is_rejected(finger, fault):
+    """The sent torques count, whichever of the two is wrong."""
+    bench, spoiled = Bench(**FEELS), np.arange(3) == finger
+    hand = bench.controller.hand
+    press = in_palm(bench.contacts.rotations, FORCES, 1.0)
+    applied = joint_torques(*hand.fingertips(bench.theta), bench.contacts.positions, press)
+    good = {"forces": FORCES, "applied": applied + hand.gravity_torque(bench.theta)}
+    bench.step(50, **good)
+    wrong = {"forces": np.where(spoiled[:, None], -FORCES, FORCES)}
+    if fault == "motor":
+        wrong = {"applied": np.where(spoiled @ hand.moves > 0, 0.0, good["applied"])}
+    found = bench.step(5, **good | wrong)
+    assert found.mode is Mode.DRIVE and not found.do_not_send
+    np.testing.assert_array_equal(bench.controller.touch_rejected, spoiled)
+    again = {**good, "forces": np.where(spoiled[:, None], 9.0, good["forces"])}
+    shown = [bench.step(1, **each).torque for each in (good | wrong, again)][-1]
+    assert np.abs(shown).max() < 10.0  # 9 N do not reach the observer
+    bench.step(50, **good)
+    assert not bench.controller.touch_rejected.any()
+    every = {"forces": -FORCES} if fault == "force" else {"applied": 0.0 * applied}
+    assert bench.step(50, **good | every).mode is Mode.HOLD
+    assert bench.controller.touch_rejected.all()
+
+
+def test_a_jolt_of_the_others_shows_that_a_contact_is_lost():
+    """Its touch is not rejected, so that the regulator still follows what the others carry."""
     bench = Bench(**FEELS)
     hand = bench.controller.hand
     press = in_palm(bench.contacts.rotations, FORCES, 1.0)
     torque = joint_torques(*hand.fingertips(bench.theta), bench.contacts.positions, press)
     applied = torque + hand.gravity_torque(bench.theta)
-    good = bench.step(400, forces=FORCES, applied=applied).torque
-    wrong = np.where(np.arange(3)[:, None] == finger, -FORCES, FORCES)
-    found = bench.step(400, forces=wrong, applied=applied)
-    assert found.mode is Mode.DRIVE and not found.do_not_send
-    np.testing.assert_array_equal(bench.controller.touch_rejected, np.arange(3) == finger)
-    np.testing.assert_allclose(found.torque, good, atol=1e-6)
-    bench.step(50, forces=FORCES, applied=applied)
+    good = {"forces": FORCES, "applied": applied}
+    bench.step(50, **good)
+    lost = {"contacts": bench.without_finger(0), "applied": applied}
+    assert bench.step(5, **lost | {"forces": FORCES * [[0.0], [9.0], [9.0]]}).mode is Mode.HOLD
     assert not bench.controller.touch_rejected.any()
-    assert bench.step(50, forces=-FORCES, applied=applied).mode is Mode.HOLD
-    assert bench.controller.touch_rejected.all()
+    assert bench.step(50, **lost | {"forces": FORCES * [[0.0], [1.0], [1.0]]}).mode is Mode.HOLD
+    assert bench.step(50, **good).mode is Mode.DRIVE
+
+
+@pytest.mark.parametrize("dead", [0.0, np.nan])
+def test_a_hold_does_not_end_it_nor_does_a_skin_without_numbers(dead):
+    bench = Bench(**FEELS)
+    bench.step(50, forces=FORCES)
+    forces = FORCES.copy()
+    forces[0] = dead
+    unfelt = {"contacts": bench.without_finger(0), "forces": forces}
+    assert bench.step(5, **unfelt).mode is Mode.DRIVE
+    bench.controller.hold(bench.theta, REST, "silence")
+    found = bench.step(5, **unfelt)
+    assert found.mode is Mode.DRIVE and np.isfinite(found.torque).all()
+
+
+def test_repeated_samples_of_the_others_stay_old_while_a_contact_is_filled_in():
+    bench = Bench()
+    hand, late = bench.controller.hand, LateTouch(bench.controller.hand)
+    rest = STEADY, hand.fingertips(bench.theta)
+    seen = [late.step(0, bench.theta, *rest, bench.contacts, ~NONE, 0.002, 0.015, 0.0)]
+    for tick in range(1, 3):
+        moved = bench.contacts.positions + 1e-4 * tick * FIRST[:, None]
+        contacts = Contacts(moved, bench.contacts.rotations)
+        theta = bench.theta + 0.002 * tick * STEADY
+        seen.append(late.step(2_000_000 * tick, theta, *rest, contacts, ~FIRST, 0.002, 0.015, 0.0))
+    np.testing.assert_allclose(seen, np.outer([0.0, 0.002, 0.004], STEADY), atol=1e-12)

@@ -305,6 +305,19 @@ def test_the_rejected_touch_of_one_finger_counts_as_none(finger):
         np.testing.assert_allclose(*learned, rtol=0.01)  # that of the last 40 ms is forgotten
 
 
+def test_friction_is_kept_while_nothing_touches_but_a_rejected_finger():
+    """Only an object that is gone may be another one now."""
+    slip = regulator(mode="auto")
+    run(slip, 300, slides=(0, 1), forces=3.0 * FORCES)
+    learned = slip.learned_friction
+    slip.reject_touch(np.array([True, False, False]))
+    gone = three_faces().without(np.array([False, True, True]))
+    slip.step(300 * TICK, gone, 3.0 * FORCES)
+    np.testing.assert_allclose(slip.learned_friction, learned, rtol=0.05)
+    slip.step(301 * TICK, gone.without(ALL), 3.0 * FORCES)
+    assert np.abs(slip.learned_friction / learned - 1.0).max() > 0.1
+
+
 def test_jerks_along_the_grasp_force_of_each_finger_are_no_slip():
     """It has a tangential part at fingers 1 and 2, as f* may have."""
     shape = np.array([[1 / 8, 3 / 8, 0.0], [-1 / 8, 3 / 8, 0.0], [0.0, 1 / 4, 0.0]])
