@@ -200,7 +200,8 @@ class Controller:
 
     Without a target the grasp stays where it was first seen. The hand holds its posture and its
     last good grasp force when f*, k_f or a contact that the joints cannot replace is missing or
-    implausible, or the contacts lie on a line. The spring of the hold is as stiff as the tick period allows; see `holds`.
+    implausible, or the contacts lie on a line. The spring of the hold is as stiff as the tick
+    period allows; see `holds`.
 
     Attributes:
         targets: Desired poses: the one in force, and those that wait.

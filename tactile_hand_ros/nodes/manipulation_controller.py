@@ -2,13 +2,13 @@
 """The manipulation controller: joint torques that hold and move the object.
 
 Safe state: it holds the posture and the last good grasp force if f*, k_f or a contact that the
-joints cannot replace or, with an observed load, a force is missing or NaN. It also holds if joint states come without the
-other inputs for `input_timeout`; `/diagnostics` then names the missing inputs. The hold ends when a
-tick is complete again. A malformed or unreachable desired pose is counted and dropped, and the
-target stays. Without joint states the controller is silent. Then, and when it crashes, the plant
-(or the drivers of a real hand) must hold the joints. Disabled by the user, it only damps. A tick
-that fails for any other reason, or would give a non-finite torque, is answered with the hold too.
-No torque exceeds the effort limits of the URDF.
+joints cannot replace or, with an observed load, a force is missing or NaN. It also holds if joint
+states come without the other inputs for `input_timeout`; `/diagnostics` then names the missing
+inputs. The hold ends when a tick is complete again. A malformed or unreachable desired pose is
+counted and dropped, and the target stays. Without joint states the controller is silent. Then, and
+when it crashes, the plant (or the drivers of a real hand) must hold the joints. Disabled by the
+user, it only damps. A tick that fails for any other reason, or would give a non-finite torque, is
+answered with the hold too. No torque exceeds the effort limits of the URDF.
 """
 
 from __future__ import annotations
