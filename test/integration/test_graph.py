@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 from std_msgs.msg import Float64
-from std_srvs.srv import SetBool, Trigger
+from std_srvs.srv import Trigger
 from support.graph import TICK_TOPICS, Graph
 from support.messages import encoded
 from support.recorded import assert_same
@@ -100,17 +100,6 @@ def payloads(bag: Path) -> dict[str, list[bytes]]:
 def assert_same_ticks(recorded: Record, expected: Record) -> None:
     """Compare, to the bit, everything that ticks carry, which is all but the palm's pose."""
     assert_same(recorded, replace(expected, palm=recorded.palm))
-
-
-def test_a_plant_waits_for_its_start_and_a_finished_one_can_only_begin_anew(graph):
-    assert graph.says("plant", "mode", "paused") and graph.says("plant", "ticks", "0")
-    graph.run()
-    graph.finish()
-    assert graph.call(SetBool, "plant/run", SetBool.Request(data=False)).message == "finished"
-    refused = graph.call(SetBool, "plant/run", SetBool.Request(data=True))
-    assert not refused.success and refused.message == "finished"
-    graph.begin()
-    graph.finish()
 
 
 def test_no_node_shares_memory_that_a_killed_one_could_leave_locked(graph):

@@ -101,13 +101,6 @@ def test_it_draws_and_asks_for_nothing(report: Page) -> None:
     assert_quiet(report)
 
 
-def test_the_browser_would_tell_of_a_request_and_an_error(report: Page) -> None:
-    report.js("new Image().src = 'http://127.0.0.1:9/none.png'")
-    report.wait(lambda: report.errors)  # the page's own policy forbids it
-    report.js("setTimeout(() => { throw new Error('seen') })")
-    report.wait(lambda: any("seen" in message for message in report.errors))
-
-
 def test_no_other_script_or_style_runs(report: Page) -> None:
     # As a name that slips through the escaping of a page would do.
     assert not report.js(

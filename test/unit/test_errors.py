@@ -1,15 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Errors give count, place and the missing library."""
+"""Errors name the missing library, and none is long."""
 
 import pytest
 
-from tactile_hand_ros.errors import CollinearContactsError, shortened
+from tactile_hand_ros.errors import shortened
 from tactile_hand_ros.extras import MissingLibraryError, optional
-
-
-def test_contacts_on_a_line_are_listed():
-    error = CollinearContactsError.of([(0.0, 1.0, 0.25), (1.0, 2.0, 3.0)])
-    assert "(0.0000, 1.0000, 0.2500), (1.0000, 2.0000, 3.0000) lie on one line" in str(error)
 
 
 def test_a_missing_library_is_named_and_what_it_lacks_itself_is_not_hidden(tmp_path, monkeypatch):

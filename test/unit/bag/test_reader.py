@@ -84,13 +84,6 @@ def test_what_is_no_bag_is_refused_with_a_reason(tmp_path):
             summarize(path)
 
 
-def test_folder_without_metadata(bag):
-    """A killed recorder leaves such a folder."""
-    (bag / "metadata.yaml").unlink()
-    with pytest.raises(BagError, match=f"tactile-hand recover {bag}"):
-        summarize(bag)
-
-
 @pytest.mark.parametrize("size", [0, 4, 8, 100, 600, -1, -9, -40])
 def test_truncated_file(bag, size):
     path = bag / "run_0.mcap"

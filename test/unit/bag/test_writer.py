@@ -136,7 +136,7 @@ def test_flushed_messages_survive_a_killed_process(tmp_path):
     run = subprocess.run([sys.executable, "-c", code, tmp_path / "run"], env=os.environ)
     assert run.returncode == -signal.SIGKILL
     assert recover(tmp_path / "run", tmp_path / "out").messages == 123
-    with pytest.raises(BagError, match="cut off.*tactile-hand recover"):
+    with pytest.raises(BagError, match=f"cut off.*tactile-hand recover {tmp_path / 'run'}"):
         summarize(tmp_path / "run")
 
 

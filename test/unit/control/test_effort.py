@@ -11,12 +11,6 @@ from tactile_hand_ros.control.laws import bearable_fraction
 TORQUES = st.lists(st.floats(-60.0, 60.0), min_size=9, max_size=9).map(np.array)
 
 
-def test_the_joint_with_the_smallest_margin_decides():
-    force, rest = np.array([10.0, -30.0, 0.0]), np.array([5.0, -5.0, 3.0])
-    assert bearable_fraction(force, rest, np.full(3, 20.0)) == pytest.approx(0.5)
-    assert bearable_fraction(force, 0.0 * rest, np.full(3, 40.0)) == 1.0
-
-
 @given(TORQUES, TORQUES)
 def test_it_is_the_largest_fraction_within_the_limits_where_the_rest_is(force, rest):
     limits = np.full(9, 20.0)

@@ -5,13 +5,11 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from support.equations import grasp_map
 from support.grasps import contacts_at
 
 from tactile_hand_ros.control.contact import Contacts
-from tactile_hand_ros.control.loads import LoadObserver, ObserverConfig, limit_length
+from tactile_hand_ros.control.loads import LoadObserver, ObserverConfig
 
 DT, TIME = 0.002, 0.05
 GRIP = contacts_at(
@@ -90,23 +88,3 @@ def test_lost_forces_keep_the_load_until_they_return(value):
     np.testing.assert_array_equal(observer.step(config, apart, 2.0 * FORCES, DT), before)
     doubled = observer.step(config, GRIP, 2.0 * FORCES, DT)
     np.testing.assert_allclose(doubled, (2.0 - math.exp(-DT / TIME)) * before, rtol=1e-12)
-
-
-def test_reset_forgets_the_load():
-    config = ObserverConfig(time=TIME, **UNLIMITED)
-    observer = settled(config)
-    observer.reset()
-    again = observer.step(config, GRIP, FORCES, DT)
-    np.testing.assert_array_equal(again, LoadObserver().step(config, GRIP, FORCES, DT))
-    observer.reset()
-    np.testing.assert_array_equal(observer.wrench, np.zeros(6))
-
-
-@given(st.lists(st.floats(-10.0, 10.0), min_size=3, max_size=3), st.floats(0.0, 20.0))
-def test_limiting_shortens_and_never_lengthens(values, limit):
-    vector = np.array(values)
-    limit_length(vector, limit)
-    length = np.linalg.norm(values)
-    assert np.linalg.norm(vector) == pytest.approx(min(length, limit), rel=1e-12, abs=1e-100)
-    scaled = np.array(values) * np.linalg.norm(vector)
-    np.testing.assert_allclose(vector * length, scaled, rtol=1e-9, atol=1e-100)

@@ -14,7 +14,6 @@ from tactile_hand_ros.control.margins import (
     GraspMonitor,
     SlipMonitor,
     angles_between,
-    cone_distances,
     local_normals,
 )
 from tactile_hand_ros.control.slip.detector import ContactState
@@ -136,10 +135,6 @@ def test_of_four_fingers_three_are_watched_while_one_is_missing(tmp_path):
     assert apart == others.margins(bent, Contacts(parted, frames).part(touching))
     # The arc of a new contact starts here; those of the others continue.
     assert watch.margins(bent, Contacts(points, frames)).face_travel == apart.face_travel > 0.0
-
-
-def test_distance_to_the_cones():
-    np.testing.assert_allclose(cone_distances(HOLDS, MU), INSIDE, atol=1e-12)
 
 
 def test_the_worst_of_an_interval_is_reported_and_a_new_one_starts(grasp):

@@ -17,21 +17,6 @@ from tactile_hand_ros.scenario.scenario import load_scenario
 from tactile_hand_ros.simulation.plant import Plant
 
 FAR = (0.0, 0.0, 2.0)
-SLIDER = """<robot name="slider"><link name="palm"/>{}</robot>"""
-BODY = """<inertial><origin xyz="0 0 0.06"/><mass value="0.1"/>
-  <inertia ixx="1e-4" iyy="1e-4" izz="1e-4" ixy="0" ixz="0" iyz="0"/></inertial>"""
-SLIDING_FINGER = """
-  <joint name="{0}_slide" type="prismatic"><parent link="palm"/><child link="{0}_rail"/>
-    <origin xyz="0.1 0 0" rpy="0 0.5 0"/><axis xyz="0 0.6 0.8"/>
-    <limit lower="-0.3" upper="0.2" effort="1" velocity="1"/></joint>
-  <link name="{0}_rail">{1}</link>
-  <joint name="{0}_bend" type="revolute"><parent link="{0}_rail"/><child link="{0}_link"/>
-    <origin xyz="0 0.05 0"/><axis xyz="0 1 0"/>
-    <limit lower="-3" upper="3" effort="1" velocity="1"/></joint>
-  <link name="{0}_link">{1}</link>
-  <joint name="{0}_mount" type="fixed"><parent link="{0}_link"/><child link="{0}_tip"/>
-    <origin xyz="0 0 0.12"/></joint><link name="{0}_tip"/>
-"""
 
 
 @pytest.fixture
@@ -160,16 +145,6 @@ def test_no_posture_leads_a_tip_beyond_its_span_and_the_straight_one_does_to_its
         assert (np.linalg.norm(tips - hand.bases, axis=1) <= hand.spans + 1e-12).all()
     straight = hand.fingertips(np.zeros(hand.joints)).positions
     np.testing.assert_allclose(np.linalg.norm(straight - hand.bases, axis=1), hand.spans)
-
-
-def test_a_sliding_joint_lengthens_its_finger_by_its_way(tmp_path):
-    fingers = "".join(SLIDING_FINGER.format(name, BODY) for name in "abc")
-    (tmp_path / "hand.urdf").write_text(SLIDER.format(fingers))
-    listed = ", ".join(f"{{name: {name}, tip: {name}_tip, radius: 0.01}}" for name in "abc")
-    (tmp_path / "hand.yaml").write_text(f"urdf: hand.urdf\nfingers: [{listed}]\n")
-    hand = Hand.load(str(tmp_path / "hand.yaml"))
-    np.testing.assert_allclose(hand.spans, 0.3 + 0.05 + 0.12)
-    np.testing.assert_allclose(hand.bases, [[0.1, 0.0, 0.0]] * 3)
 
 
 def test_fingers_with_joints_to_spare_are_solved_to_the_end(tmp_path):

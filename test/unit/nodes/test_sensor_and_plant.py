@@ -17,7 +17,7 @@ from tactile_hand_ros.ros.messages import JointCodec
 from tactile_hand_ros.ros.qos import tick_qos
 from tactile_hand_ros.scenario.scenario import load_scenario
 from tactile_hand_ros.simulation.plant import Plant
-from tactile_hand_ros.simulation.skin import TactileReading, miscalibrated
+from tactile_hand_ros.simulation.skin import TactileReading
 
 TICK = 2_000_000
 PLANT = Plant(load_scenario("paper").plant)
@@ -54,13 +54,6 @@ def test_the_faults_of_fingers_are_live_if_they_are_as_many(here):
     (taken,) = node.set_parameters([Parameter("faults", value=["none", "off", "none"])])
     assert taken.successful
     assert np.isnan(sense(node, TICK).positions).any(axis=1).tolist() == [False, True, False]
-
-
-def test_a_wrong_calibration_moves_contacts_with_the_joints(here):
-    node = here.make(TactileSensorNode, **{"calibration.skin_rotation": [0.0, 0.0, 0.1]})
-    expected = miscalibrated(node.config.calibration, HAND, STATE.theta, TRUE)
-    np.testing.assert_allclose(sense(node, 5).positions, expected.positions)
-    assert np.abs(expected.positions - TRUE.positions).max() > 1e-4
 
 
 def _kind(node: Any) -> Any:

@@ -147,11 +147,6 @@ def test_entities_may_come_and_go_while_spinning(nodes):
     assert got == [0.0, 3.0]
 
 
-def test_spin_returns_when_the_context_is_shut_down(nodes):
-    nodes[0].create_timer(0.05, nodes[0].context.try_shutdown)
-    spin(nodes[0])
-
-
 def test_an_error_in_a_service_is_reported_by_every_node_that_survives(nodes):
     nodes[2].create_service(Trigger, "s", lambda *_: {}["left"])
     asked(nodes[2], "s")
@@ -159,13 +154,9 @@ def test_an_error_in_a_service_is_reported_by_every_node_that_survives(nodes):
     assert nodes[0].survived == nodes[1].survived == [("services", "'left'")]
 
 
-@pytest.mark.parametrize("kind", ["service", "timer"])
-def test_an_error_that_no_node_survives_ends_the_loop(nodes, kind):
-    if kind == "service":
-        nodes[2].create_service(Trigger, "s", lambda *_: {}["left"])
-        asked(nodes[2], "s")
-    else:
-        nodes[2].create_timer(0.001, lambda: {}["left"])
+def test_an_error_that_no_node_survives_ends_the_loop(nodes):
+    nodes[2].create_service(Trigger, "s", lambda *_: {}["left"])
+    asked(nodes[2], "s")
     with pytest.raises(KeyError, match="left"):
         spin(nodes[2])
 

@@ -260,14 +260,6 @@ def test_only_a_desired_pose_may_keep_its_parts_by_nan(kept):
         codec.decode(codec.encode(row[:3], row[3:], 5))
 
 
-def test_a_force_in_another_frame_is_refused_unless_the_frame_does_not_matter():
-    data = WrenchCodec("tip").encode((0.0, 7.0, 0.0), 5)
-    with pytest.raises(MessageError, match="frame_id is 'tip', expected 'palm'"):
-        WrenchCodec("palm").decode(data)
-    stamp, force = WrenchCodec("palm", any_frame=True).decode(data)
-    assert stamp == 5 and force[1] == 7.0
-
-
 @pytest.mark.parametrize("place", range(3))
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_each_part_of_a_force_counts_up_to_the_largest_number(place, sign):

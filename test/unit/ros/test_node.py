@@ -24,7 +24,7 @@ from tactile_hand_ros.config.model import Config, param
 from tactile_hand_ros.errors import MessageError, TactileHandError, UnsafeOutputError
 from tactile_hand_ros.ros import qos
 from tactile_hand_ros.ros.diagnostics import ERROR, OK, WARN
-from tactile_hand_ros.ros.endpoints import described, location, refusal, subscribe_directly
+from tactile_hand_ros.ros.endpoints import described, location, refusal
 from tactile_hand_ros.ros.messages import checked_number
 from tactile_hand_ros.ros.middleware import ros_context
 from tactile_hand_ros.ros.node import TactileNode
@@ -206,17 +206,6 @@ def test_health_is_reported_when_a_peer_comes_or_goes(here, node):
     here.wait(lambda: is_reported("1"), "the reader")
     here.user.destroy_subscription(reader)
     here.wait(lambda: is_reported("0"), "its end")
-
-
-def test_peers_are_counted_by_topic_and_end(here, node):
-    node.create_publisher(Float64, "z", 1)
-    subscribe_directly(node, Float64, "z", QoSProfile(depth=1))
-
-    def met() -> bool:
-        peers = node.peers()
-        return peers["publications /left/z"] == peers["subscriptions /left/z"] == 1
-
-    here.wait(met, "both")
 
 
 def test_a_configuration_that_cannot_be_taken_over_is_a_fault_until_the_next(node):

@@ -24,12 +24,6 @@ def test_ticks_carry_the_stamps_of_their_times_until_the_nearest_to_the_end(rate
     assert run.stamp == pytest.approx(1e9 * run.plant.time)
 
 
-def test_without_a_duration_no_tick_is_the_last():
-    run = PlantRun(config().changed({"duration": 0.0}))
-    run.advance()
-    assert not run.is_last
-
-
 def test_without_commands_the_joints_are_held_where_they_are():
     run = PlantRun(config())
     torque = np.full(run.plant.hand.joints, 0.5)

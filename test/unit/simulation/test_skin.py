@@ -98,15 +98,6 @@ def test_a_slow_skin_repeats_its_last_sample_and_one_as_fast_as_the_ticks_misses
     np.testing.assert_allclose(forces, 0.002 * every * (np.arange(2000) // every), atol=1e-12)
 
 
-def test_noise_may_change_while_running():
-    skin = sensor()
-    skin.step(0, truth())
-    skin.configure(TactileSensorConfig(force_noise=0.1))
-    assert np.abs(skin.step(TICK, truth()).forces - truth().forces).max() > 1e-3
-    skin.configure(TactileSensorConfig())
-    np.testing.assert_array_equal(skin.step(2 * TICK, truth()).forces, truth().forces)
-
-
 def forces_of(skin, ticks, force, sliding=None, period=1_000_000):
     """Return a 1 kHz skin's readings of a force that may depend on the tick, shape (n, 3, 3)."""
     still, out = truth(), []

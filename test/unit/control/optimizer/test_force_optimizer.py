@@ -22,8 +22,6 @@ W = np.tile([10.0, 1.0, 10.0], 3)
 # t on each, f_n = ((1 - 2t)/2, (1 - 2t)/2, 2t), of cost (1 - 2t)^2/2 + 4t^2 + 20t^2, minimal
 # at t = 1/26. Finger 1 has +y as its x, finger 2 as its -x.
 THREE_FACES = np.array([[1 / 26, 6 / 13, 0.0], [-1 / 26, 6 / 13, 0.0], [0.0, 1 / 13, 0.0]])
-# Only the normals can balance along y: the thumb pushes as much as the other two together.
-PINCH = np.array([[0.0, 0.25, 0.0], [0.0, 0.25, 0.0], [0.0, 0.5, 0.0]])
 
 
 def optimizer(fingers=3, **values):
@@ -40,15 +38,6 @@ def without_finger(contacts, finger):
     positions, rotations = contacts.positions.copy(), contacts.rotations.copy()
     positions[finger] = rotations[finger] = np.nan
     return Contacts(positions, rotations)
-
-
-@pytest.mark.parametrize(("grasp", "expected"), [(three_faces, THREE_FACES), (pinch, PINCH)])
-def test_the_papers_layouts_have_the_forces_computed_by_hand(grasp, expected):
-    found = optimizer().solve(grasp())
-    assert found.ok and found.status is Status.SOLVED and found.reason == "" and not found.shaped
-    np.testing.assert_allclose(found.forces, expected, atol=1e-10)
-    assert found.residual < 1e-9
-    assert 0 < found.iterations < 4 and found.solve_time == 0.0
 
 
 def test_weights_may_differ_from_contact_to_contact():
@@ -177,6 +166,7 @@ def limited(program, **values):
 @pytest.mark.parametrize(("solver", "exactness"), [("exact", 1e-10), ("osqp", 1e-8)])
 def test_the_optimum_is_found_to_its_last_digits(solver, exactness, grasp, least):
     found = optimizer(solver=solver, minimum_normal=least).solve(grasp())
+    assert found.ok and not found.shaped and found.reason == ""
     assert found.residual < 1e-9 and found.iterations > 0
     assert (found.solve_time > 0.0) == (solver == "osqp")
     np.testing.assert_allclose(found.forces, best_forces(grasp(), W, least), atol=exactness)

@@ -192,16 +192,6 @@ def test_a_force_that_is_no_more_than_noise_is_unknown():
     assert known == [pytest.approx(0.0, abs=0.05), pytest.approx(0.5, abs=0.1), 1.0]
 
 
-def test_a_detector_that_was_reset_equals_a_new_one():
-    used, fresh = (SlipDetector(SlipDetectorConfig(), 1) for _ in range(2))
-    run(slips_once(), used)
-    used.reset()
-    assert used.state == [UNKNOWN] and used.likelihood == [0.0] and not used.agrees[0]
-    again = np.concatenate([sticking(80, seed=3), sliding(20, seed=4)])
-    np.testing.assert_array_equal(run(again, used), run(again, fresh))
-    assert used.likelihood == fresh.likelihood > 0.0
-
-
 def test_contacts_are_judged_apart():
     detector, new = SlipDetector(SlipDetectorConfig(), 3), np.ones(3, bool)
     normals = normals_of(3)

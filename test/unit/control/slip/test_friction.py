@@ -188,13 +188,3 @@ def test_the_limits_hold():
         slip(made, [0.01] * 3, [0, 1, 2])
         rest(made, 0.1, 0.0)
     np.testing.assert_allclose(made.estimate, 0.1)
-
-
-def test_reset_and_restore():
-    made = estimator()
-    slip(made, [0.2] * 3, [0])
-    known, kept = made.estimate, made.memory
-    made.reset()
-    np.testing.assert_array_equal(made.estimate, PRIOR)
-    made.restore(kept)
-    np.testing.assert_array_equal(made.estimate, known)

@@ -32,10 +32,6 @@ def test_it_follows_the_need_up_at_its_rate_and_down_slowly():
     assert down[-1] - START == pytest.approx(14.0 * math.exp(-1.0), rel=0.05)
 
 
-def test_a_slip_never_takes_it_beyond_the_limit():
-    assert run(held(), 200, slips=True, slides=True).max() == LIMIT
-
-
 def test_a_contact_that_comes_and_goes_does_not_wind_it_up():
     reflex = held(first_rise=2.0)
     for _ in range(20):

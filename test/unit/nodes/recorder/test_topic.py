@@ -213,16 +213,6 @@ def test_what_a_restarted_publisher_sends_before_it_is_matched_counts_as_lost(st
     assert len(stage.taken) + stage.topic.lost == total
 
 
-def test_after_the_context_has_ended_what_has_arrived_is_still_taken(stage):
-    publisher = stage.publisher(STRICT)
-    stage.match(publisher)
-    stage.send(publisher, 1, 2)
-    assert publisher.wait_for_all_acked()
-    stage.listener.context.try_shutdown()
-    stage.topic.drain(stage._keep)
-    assert stage.taken == [1, 2]
-
-
 def test_a_type_name_imports_installed_interfaces_only(tmp_path, monkeypatch):
     """A bag or a network peer may name a module in the current folder."""
     module = tmp_path / "evilpkg" / "msg"
