@@ -5,6 +5,8 @@ import numpy as np
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import Point, Pose, PoseArray, PoseStamped, Quaternion, WrenchStamped
 from numpy.typing import ArrayLike
+from rclpy.serialization import serialize_message
+from rosbags.typesys import Stores, get_typestore
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Header
 
@@ -12,6 +14,8 @@ from bench.written import TickMessages
 from tactile_hand_ros.closed_loop.record import Record
 from tactile_hand_ros.names import PALM_FRAME
 from tactile_hand_ros.rotations import quaternion_from_rotation
+
+STORE = get_typestore(Stores.ROS2_JAZZY)
 
 
 def header(stamp_ns: int, frame: str = PALM_FRAME) -> Header:
@@ -42,7 +46,7 @@ def contacts_message(positions: ArrayLike, quaternions: ArrayLike, stamp_ns: int
     return PoseArray(header=header(stamp_ns), poses=[pose(*row) for row in rows])
 
 
-def force_message(force: ArrayLike, stamp_ns: int, frame: str) -> WrenchStamped:
+def force_message(force: ArrayLike, stamp_ns: int, frame: str = PALM_FRAME) -> WrenchStamped:
     """Return a force without torque."""
     message = WrenchStamped(header=header(stamp_ns, frame))
     vector = message.wrench.force
@@ -54,6 +58,19 @@ def joint_message(names: list[str], stamp_ns: int, **fields: ArrayLike) -> Joint
     """Return joint states with the given fields; the others stay empty."""
     lists = {name: np.asarray(values, float).tolist() for name, values in fields.items()}
     return JointState(header=header(stamp_ns, ""), name=names, **lists)
+
+
+def type_name(message: object) -> str:
+    """Return the type of a message as bags and topics name it."""
+    kind = type(message)
+    return f"{kind.__module__.partition('.')[0]}/msg/{kind.__name__}"
+
+
+def serialized(message: object) -> bytes:
+    """Return the bytes of a message without what ROS leaves behind the end of empty arrays."""
+    data, definition = serialize_message(message), STORE.get_msgdef(type_name(message))
+    _, end = definition.deserialize_cdr_le(data[4:], 0, definition.cls, STORE)
+    return bytes(data[: 4 + end])
 
 
 def encoded(run: Record) -> dict[str, list[bytes]]:

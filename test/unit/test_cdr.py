@@ -8,8 +8,14 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from support import recorded
-from support.recorded import STORE
+from support.messages import (
+    STORE,
+    contacts_message,
+    force_message,
+    joint_message,
+    serialized,
+    type_name,
+)
 
 from tactile_hand_ros.cdr import tables
 from tactile_hand_ros.errors import BagError
@@ -23,7 +29,11 @@ stamps = st.integers(0, 2**31 * 10**9 - 1)
 
 
 def cdr(content: Any, little: bool = True) -> bytes:
-    return bytes(STORE.serialize_cdr(content, content.__msgtype__, little_endian=little))
+    """Return the bytes of ROS, or those of a machine with the other order of bytes."""
+    data, kind = serialized(content), type_name(content)
+    if little:
+        return data
+    return bytes(STORE.serialize_cdr(STORE.deserialize_cdr(data, kind), kind, little_endian=False))
 
 
 @settings(max_examples=50)
@@ -33,7 +43,7 @@ def cdr(content: Any, little: bool = True) -> bytes:
 )
 def test_wrenches(given, little):
     """With any frame names: their lengths shift the numbers."""
-    messages = [cdr(recorded.wrench(stamp, force, frame), little) for stamp, frame, force in given]
+    messages = [cdr(force_message(force, stamp, frame), little) for stamp, frame, force in given]
     seen = 0
     for table in tables(WRENCH, messages):
         for i, row in enumerate(table.rows):
@@ -51,7 +61,7 @@ def test_joint_states(joints, position, velocity, effort):
     values = np.arange(1.0, len(joints) + 1.0)
     present = {"position": position, "velocity": velocity, "effort": effort}
     fields = {name: values * 10.0 for name, there in present.items() if there}
-    [table] = tables(JOINTS, [cdr(recorded.joints(7, joints, **fields))] * 2)
+    [table] = tables(JOINTS, [cdr(joint_message(joints, 7, **fields))] * 2)
     assert table.layout.texts == ["", *joints]
     for name, there in present.items():
         expected = (values * 10.0).tolist() if there else []
@@ -59,8 +69,8 @@ def test_joint_states(joints, position, velocity, effort):
 
 
 def test_messages_with_other_strings_of_the_same_length_are_kept_apart():
-    first = recorded.joints(1, ["a", "b"], position=[1.0, 2.0])
-    other = recorded.joints(2, ["b", "a"], position=[3.0, 4.0])
+    first = joint_message(["a", "b"], 1, position=[1.0, 2.0])
+    other = joint_message(["b", "a"], 2, position=[3.0, 4.0])
     found = list(tables(JOINTS, [cdr(m) for m in (first, other, first)]))
     assert [(t.rows.tolist(), t.layout.texts) for t in found] == [
         ([0, 2], ["", "a", "b"]),
@@ -69,7 +79,7 @@ def test_messages_with_other_strings_of_the_same_length_are_kept_apart():
 
 
 def test_either_order_of_bytes_may_come_and_the_options_of_an_encoding_do_not_matter():
-    content = recorded.wrench(3, (1.0, 2.0, 3.0), "abcd")
+    content = force_message((1.0, 2.0, 3.0), 3, "abcd")
     small, large = cdr(content), cdr(content, little=False)
     other = small[:2] + b"\7\7" + small[4:]
     found = list(tables(WRENCH, [small, large, other]))
@@ -81,20 +91,20 @@ def test_either_order_of_bytes_may_come_and_the_options_of_an_encoding_do_not_ma
 
 def test_arrays_of_poses_may_change_their_length():
     point, turn = (1.0, 2.0, 3.0), (0.0, 0.0, 0.0, 1.0)
-    messages = [cdr(recorded.pose_array(0, [point] * k, [turn] * k)) for k in (0, 2, 1)]
+    messages = [cdr(contacts_message([point] * k, [turn] * k, 0)) for k in (0, 2, 1)]
     found = {int(t.rows[0]): t.doubles("poses").tolist() for t in tables(POSES, messages)}
     assert found == {0: [[]], 1: [[*point, *turn] * 2], 2: [[*point, *turn]]}
 
 
 @pytest.mark.parametrize("size", [0, 3, 8, 15, 30, -1])
 def test_truncated_message(size):
-    message = cdr(recorded.joints(1, ["a", "b"], position=[1.0, 2.0]))
+    message = cdr(joint_message(["a", "b"], 1, position=[1.0, 2.0]))
     with pytest.raises(BagError, match="not a valid sensor_msgs/msg/JointState"):
         list(tables(JOINTS, [message[:size]]))
 
 
 def test_length_beyond_the_end():
-    message = bytearray(cdr(recorded.joints(1, ["a"], position=[1.0])))
+    message = bytearray(cdr(joint_message(["a"], 1, position=[1.0])))
     message[20:24] = struct.pack("<I", 2**32 - 1)
     with pytest.raises(BagError, match="announced"):
         list(tables(JOINTS, [bytes(message)]))
@@ -102,6 +112,6 @@ def test_length_beyond_the_end():
 
 @pytest.mark.parametrize("encoding", ["0007", "0002", "0100", "0101"])
 def test_foreign_encoding(encoding):
-    message = bytes.fromhex(encoding) + cdr(recorded.wrench(1, (1.0, 2.0, 3.0)))[2:]
+    message = bytes.fromhex(encoding) + cdr(force_message((1.0, 2.0, 3.0), 1))[2:]
     with pytest.raises(BagError, match=f"encoding {encoding}"):
         list(tables(WRENCH, [message]))

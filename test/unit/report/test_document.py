@@ -15,12 +15,12 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from std_msgs.msg import String
+from support.messages import joint_message
 from support.recorded import (
     PERIOD,
     START,
     RunWriter,
-    joints,
-    message,
     random_record,
     request_message,
     write_record,
@@ -187,7 +187,7 @@ def test_a_page_has_the_last_ten_sections(tmp_path: Path) -> None:
     with RunWriter(tmp_path / "bag") as bag:
         for section in range(12):
             for tick in range(2 + section):
-                state = joints(tick, ["a"], position=[1.0])
+                state = joint_message(["a"], tick, position=[1.0])
                 bag.write("/joint_states", state, START + (100 * section + tick) * 10**9)
     run = Run(tmp_path / "bag")
     assert [len(each.record) for each in run.earlier[-MOST_EARLIER:]] == list(range(4, 13))
@@ -256,8 +256,7 @@ def test_the_hand_that_was_recorded_is_drawn(tmp_path: Path) -> None:
     )
     told = {"scenario": resolved(load_scenario("paper"))}
     with RunWriter(tmp_path / "bag", told) as bag:
-        text = message("std_msgs/msg/String", data=urdf)
-        bag.write("/robot_description", text, START - 1)
+        bag.write("/robot_description", String(data=urdf), START - 1)
         write_tick(bag, random_record(1), 0, START)
     tree = run_document(Run(tmp_path / "bag"))["hand"]
     assert [link["xyz"][0] for link in tree["links"]] == [0.0, 0.5]

@@ -7,16 +7,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from support import recorded
 from support.hands import write_hand
+from support.messages import force_message, joint_message, pose_message
 from support.recorded import (
     LATENCY,
     PERIOD,
     START,
     RunWriter,
     assert_same,
-    joints,
-    pose_stamped,
     random_record,
     request_message,
     write_record,
@@ -34,7 +32,7 @@ NAMES = ["a", "b"]
 
 
 def tick_only(bag: RunWriter, stamp: int, at: int) -> None:
-    bag.write("/joint_states", joints(stamp, NAMES, position=[1.0, 2.0]), at)
+    bag.write("/joint_states", joint_message(NAMES, stamp, position=[1.0, 2.0]), at)
 
 
 class TestRecord:
@@ -63,7 +61,7 @@ class TestRecord:
             for tick in (0, 10, 20):
                 tick_only(bag, tick, tick)
             for stamp in (10, 15, 99):
-                bag.write("/grasp_force", recorded.wrench(stamp, (0.0, float(stamp), 0.0)), 21)
+                bag.write("/grasp_force", force_message((0.0, float(stamp), 0.0), stamp), 21)
         record = Run(tmp_path / "bag").record
         np.testing.assert_array_equal(record.grasp_force, [np.nan, 10.0, np.nan])
         np.testing.assert_array_equal(record.theta, [[1.0, 2.0]] * 3)
@@ -91,9 +89,9 @@ class TestRecord:
         """The order of the first message counts; a message with other joints is ignored."""
         with RunWriter(tmp_path / "bag") as bag:
             for at, order in enumerate((["b", "a"], ["a", "b"], ["a", "b"])):
-                bag.write("/joint_states", joints(at, order, position=[1.0 + at, 5.0]), at)
+                bag.write("/joint_states", joint_message(order, at, position=[1.0 + at, 5.0]), at)
                 other = ["a", "c"] if at == 2 else ["a", "b"]
-                bag.write("/joint_command", joints(at, other, effort=[20.0, 10.0]), at)
+                bag.write("/joint_command", joint_message(other, at, effort=[20.0, 10.0]), at)
         record = Run(tmp_path / "bag").record
         assert record.joint_names == ["b", "a"]
         np.testing.assert_array_equal(record.theta, [[1.0, 5.0], [5.0, 2.0], [5.0, 3.0]])
@@ -105,9 +103,9 @@ class TestRecord:
         with RunWriter(tmp_path / "bag") as bag:
             for tick in range(2):
                 tick_only(bag, tick, 2 * tick)
-            bag.write("/grip_state", joints(1, order, **values), 3)
+            bag.write("/grip_state", joint_message(order, 1, **values), 3)
             slip = {"position": [2e-3, 1e-3], "velocity": [0.2, 0.1]}
-            bag.write("/ground_truth/slip", joints(1, order, **slip), 3)
+            bag.write("/ground_truth/slip", joint_message(order, 1, **slip), 3)
         record = Run(tmp_path / "bag", fingers=["finger_1", "finger_2"]).record
         unknown = [np.nan, np.nan]
         np.testing.assert_array_equal(record.friction, [unknown, [0.1, 0.2]])
@@ -151,7 +149,7 @@ class TestDesiredPose:
             for row in range(5):
                 tick_only(bag, 10 * row, 100 + 100 * row)
             for stamp, x in poses:
-                accepted = pose_stamped(stamp, (x, 0.0, 0.0), STRAIGHT)
+                accepted = pose_message((x, 0.0, 0.0), STRAIGHT, stamp)
                 bag.write("/accepted/desired_pose", accepted, 105 + 10 * stamp)
         found = Run(tmp_path / "bag").record.desired_position[:, 0]
         assert np.nan_to_num(found, nan=-1.0).tolist() == in_force
@@ -228,10 +226,10 @@ def test_bag_metrics(tmp_path):
                 continue
             values = {"position": record.theta[row]}
             stamp = int(record.stamps[row])
-            bag.write("/joint_states", joints(stamp, record.joint_names, **values), at)
+            bag.write("/joint_states", joint_message(record.joint_names, stamp, **values), at)
             if row == 7:
                 effort = record.command[row]
-                answer = joints(stamp, record.joint_names, effort=effort)
+                answer = joint_message(record.joint_names, stamp, effort=effort)
                 bag.write("/joint_command", answer, at + 5 * LATENCY)
     m = Run(tmp_path / "bag").bag_metrics
     assert m.messages == 18 * 18 + 3
@@ -274,7 +272,7 @@ def test_each_reset_begins_a_section_with_its_own_messages(tmp_path):
         for section, ticks in enumerate((4, 3, 2)):
             for tick in range(ticks):
                 at = START + (1000 * section + 10 * tick) * ms
-                squeeze = recorded.wrench(tick, (0.0, 10.0 * section + tick, 0.0))
+                squeeze = force_message((0.0, 10.0 * section + tick, 0.0), tick)
                 bag.write("/grasp_force", squeeze, at - 5 * ms)
                 tick_only(bag, tick, at)
     run = Run(tmp_path / "bag")
@@ -296,8 +294,8 @@ def test_a_section_ends_a_tenth_of_a_second_before_the_next_begins(late, tmp_pat
             tick_only(bag, tick, at * second)
         early = 2 * second - 10**8 - late
         for stamp, at in ((0, 1), (1, second + 1), (0, early)):
-            bag.write("/grasp_force", recorded.wrench(stamp, (0.0, float(stamp), 0.0)), at)
-        pose = pose_stamped(0, (3.0, 0.0, 0.0), STRAIGHT)
+            bag.write("/grasp_force", force_message((0.0, float(stamp), 0.0), stamp), at)
+        pose = pose_message((3.0, 0.0, 0.0), STRAIGHT, 0)
         bag.write("/accepted/desired_pose", pose, early)
     run = Run(tmp_path / "bag")
     [earlier] = run.earlier
@@ -316,7 +314,7 @@ def test_only_the_first_command_behind_a_tick_of_the_last_run_answers_it(tmp_pat
                 tick_only(bag, tick, at)
                 if delay is not None:
                     for again in (0, 50):
-                        answer = joints(tick, NAMES, effort=[1.0, 2.0])
+                        answer = joint_message(NAMES, tick, effort=[1.0, 2.0])
                         bag.write("/joint_command", answer, at + (delay + again) * ms)
     run = Run(tmp_path / "bag")
     np.testing.assert_allclose(run.latencies, [0.0, np.nan, 0.007])

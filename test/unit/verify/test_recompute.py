@@ -9,14 +9,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from support.messages import force_message, pose_message
 from support.recorded import (
     PERIOD,
     START,
     RunWriter,
     parameter_event,
-    pose_stamped,
     request_message,
-    wrench,
     write_run,
     write_tick,
 )
@@ -64,7 +63,7 @@ def write(folder: Path, scenario: Scenario, record: Record, *changes: tuple[int,
         write_run(bag, scenario, record)
         for user in scenario.user_forces:
             row = int(np.searchsorted(record.stamps, user.stamp))
-            force = wrench(user.stamp, (0.0, user.force, 0.0))
+            force = force_message((0.0, user.force, 0.0), user.stamp)
             bag.write("/accepted/user_grasp_force", force, START + row * PERIOD + 1)
         for row, topic, content in changes:
             bag.write(f"/accepted/{topic}", content, START + row * PERIOD + 1)
@@ -300,7 +299,7 @@ def test_poses_that_wait_and_overtake_each_other_are_followed_as_they_were(tmp_p
         loop.tick(record, row)
         if loop.controller.targets.accepted is not None:
             position = loop.controller.targets.accepted.position
-            pose = pose_stamped(row * TICK, position, (0.0, 0.0, 0.0, 1.0))
+            pose = pose_message(position, (0.0, 0.0, 0.0, 1.0), row * TICK)
             accepted.append((row, "desired_pose", pose))
     assert [row for row, *_ in accepted] == [1, 80, 100]
     run = write(tmp_path, scenario, record, *accepted)

@@ -5,15 +5,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from support.messages import force_message, pose_message
 from support.recorded import (
     PERIOD,
     START,
     RunWriter,
     parameter_event,
-    pose_stamped,
     random_record,
     request_message,
-    wrench,
     write_tick,
 )
 
@@ -39,8 +38,8 @@ def run(tmp_path: Path) -> Run:
             at, number = begin + 5 * PERIOD, 1.0 + section
             stamp = 2_000_000 * (3 + section)
             for topic, content in (
-                ("desired_pose", pose_stamped(stamp, (number, 0.2, 0.3), turn)),
-                ("user_grasp_force", wrench(stamp, (9.0, number, 9.0))),
+                ("desired_pose", pose_message((number, 0.2, 0.3), turn, stamp)),
+                ("user_grasp_force", force_message((9.0, number, 9.0), stamp)),
                 (
                     "manipulation_controller/parameters",
                     parameter_event(10**9 * (1 - section) + 7, "x", {"law.k_p": number}),
