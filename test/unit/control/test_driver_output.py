@@ -71,11 +71,7 @@ def test_limits_only_weaken_the_torque_of_a_servo(
     ("driver", "factor", "largest"),
     [
         ({"output": "velocity", "damping": 0.1}, 10.0, 2.0),
-        (
-            {"output": "velocity", "damping": 0.1, "degrees": True},
-            10.0 * 180.0 / np.pi,
-            360.0 / np.pi,
-        ),
+        ({"output": "velocity", "damping": 0.1, "degrees": True}, 1800 / np.pi, 360 / np.pi),
         ({"output": "current", "torque_constant": 0.2, "degrees": True}, 5.0, 2.5),
         ({"output": "effort"}, 1.0, 0.5),
     ],

@@ -52,11 +52,7 @@ TREE = chain("ab", ["revolute"] * 2, LIMIT.format(0.0))
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        (
-            LIMIT.format(0.0),
-            '<dynamics friction="-1"/>',
-            "joint 'a': friction is -1, expected none",
-        ),
+        (LIMIT.format(0.0), '<dynamics friction="-1"/>', "joint 'a': friction is -1, expected no"),
         ('<parent link="l0"/>', "", "joint 'a': its parent is '', expected a link"),
         ('<child link="l1"/>', '<child link="x"/>', "joint 'a': its child is 'x', expected a link"),
         ('<child link="l2"/>', '<child link="l1"/>', "joint 'b': link 'l1' has another parent too"),

@@ -96,19 +96,16 @@ def test_a_changed_scenario_says_it_to_all_nodes_and_leaves_the_first_as_it_is()
         paper.changed({"plant.gravity": GRAVITY})
 
 
+AT = "position: [0, 0, 0]"
+
+
 @pytest.mark.parametrize(
     ("text", "message"),
     [
         ("plant: {objet: {}}", r"mine.yaml: unknown key 'objet' in plant, did you mean 'object'"),
         ("plant: {object: {mass: -1}}", r"mass is -1, but should be greater than 0 .kg.\.$"),
-        (
-            "plant: {object: {mass: 0.1, inertia: [1, 1, 1]}}",
-            r"no body of 0.1 kg that reaches 0.23 m from its center has more than 0.0051 kg m\^2",
-        ),
-        (
-            "manipulation_controller: {law: {name: pid}}",
-            r"law.name is invalid: 'pid' is not a law. Expected one of optimal, contact, kawamura",
-        ),
+        ("plant: {object: {mass: 0.1, inertia: [1, 1, 1]}}", r"0.1 kg .* more than 0.0051 kg m\^2"),
+        ("manipulation_controller: {law: {name: pid}}", r"law.name .*'pid' .*one of optimal, cont"),
         ("targets: [{position: [0, 0, 0], rotation: [0, 0, 45]}]", r"0.7854\] if .*degrees"),
         ("targets: [{position: [0, 0, 0], rotation: held}]", r"'held' is neither .* nor keep"),
         ("plant: {object: {rotation: [0, 0, 30]}}", r"a full turn; angles are in rad"),
@@ -118,14 +115,8 @@ def test_a_changed_scenario_says_it_to_all_nodes_and_leaves_the_first_as_it_is()
         ("plant: 3", r"plant is 3, but should be a valid dictionary"),
         ("plant: 3\ntactile_sensor: {seed: 2}", r"set 'seed' once at the top, not in 'tactile"),
         ("[1, 2]", r"holds list; expected a mapping"),
-        (
-            "targets: [{time: 2, position: [0, 0, 0]}, {time: 1, position: [0, 0, 0]}]",
-            r"in order of time, got \[2.0, 1.0\]",
-        ),
-        (
-            "duration: 1\ntargets: [{time: 1, position: [0, 0, 0]}]",
-            r"last target comes at 1.0 s, but the run ends at 1.0 s",
-        ),
+        (f"targets: [{{time: 2, {AT}}}, {{time: 1, {AT}}}]", r"in order of time, got \[2.0, 1.0\]"),
+        (f"duration: 1\ntargets: [{{time: 1, {AT}}}]", r"comes at 1.0 s, but the run ends at 1.0"),
         ("slip_regulator: {grasp_force: 99}", r"grasp_force = 99.0 N is outside"),
     ],
 )
