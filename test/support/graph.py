@@ -23,6 +23,7 @@ from std_msgs.msg import Float64
 from std_srvs.srv import SetBool, Trigger
 
 from bench.processes import CapturedProcess, parameter_files, start_executable
+from bench.wire import each_tick
 from support.messages import pose_message
 from support.spinning import spinning
 from tactile_hand_ros import names
@@ -39,21 +40,7 @@ PATIENCE = 120.0
 """Longest wait for anything [s]; long, because the first start may compile code."""
 
 
-PER_FINGER = (names.wrench, names.load, names.optimal_force, names.true_wrench)
-TICK_TOPICS = [
-    names.JOINT_STATES,
-    names.JOINT_COMMAND,
-    names.CONTACTS,
-    names.GRASP_FORCE,
-    names.GRIP_STATE,
-    names.GRIP_MARGIN,
-    names.AUXILIARY_POSE,
-    names.OBJECT_POSE,
-    names.TRUE_CONTACTS,
-    names.TRUE_SLIP,
-    names.CLOCK,
-    *(name(f"finger_{i}") for name in PER_FINGER for i in (1, 2, 3)),
-]
+TICK_TOPICS = [link.topic for link in each_tick()]
 """Topics of the tick of a hand with three fingers."""
 
 

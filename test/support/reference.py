@@ -14,7 +14,7 @@ at the level of rounding errors, which the tests check.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -24,8 +24,7 @@ from scipy.integrate import solve_ivp
 Array = NDArray[np.float64]
 
 
-@dataclass(frozen=True)
-class World:
+class World(NamedTuple):
     """The reference's model of hand and object.
 
     Attributes:
@@ -46,14 +45,8 @@ class World:
     gravity: Array
     faces: Array
 
-    @property
-    def k(self) -> int:
-        """Number of fingers."""
-        return len(self.tips)
 
-
-@dataclass(frozen=True)
-class State:
+class State(NamedTuple):
     """Joints, object position, quaternion (x, y, z, w) and their rates, palm frame, SI units."""
 
     theta: Array
@@ -62,12 +55,6 @@ class State:
     quaternion: Array
     velocity: Array
     spin: Array
-
-    def pack(self) -> Array:
-        """Return all of it as one vector."""
-        return np.concatenate(
-            [self.theta, self.rates, self.position, self.quaternion, self.velocity, self.spin]
-        )
 
 
 class Reference:
@@ -90,7 +77,7 @@ class Reference:
 
     def solve_rates(self, y: Array, torque: Array, wrench: Array) -> tuple[Array, Array]:
         """Return y' and the contact forces on the object, shape (k, 3), palm axes."""
-        s, w, m, k = self.unpack(y), self.world, self.m, self.world.k
+        s, w, m, k = self.unpack(y), self.world, self.m, len(self.frames)
         rotation = pin.Quaternion(s.quaternion / np.linalg.norm(s.quaternion)).toRotationMatrix()
         hand, solid, bias = self._contact_rows(s, rotation)
         inertia = rotation @ w.inertia @ rotation.T
@@ -119,7 +106,7 @@ class Reference:
             Factors of the joint accelerations, shape (3k, m), of the object's, shape (3k, 6), and
             the rest, shape (3k,), m/s^2.
         """
-        w, m, k = self.world, self.m, self.world.k
+        w, m, k = self.world, self.m, len(self.frames)
         pin.forwardKinematics(self.model, self.data, s.theta, s.rates, np.zeros(m))
         pin.computeAllTerms(self.model, self.data, s.theta, s.rates)
         pin.forwardKinematics(self.model, self.data, s.theta, s.rates, np.zeros(m))
@@ -165,7 +152,7 @@ class Reference:
     ) -> tuple[Array, Array]:
         """Integrate over `times` and return states (len(times), n) and forces at them."""
         external = np.zeros(6) if wrench is None else wrench
-        y, states, forces = start.pack(), [], []
+        y, states, forces = np.concatenate(start), [], []
 
         def rates_and_forces(t: float, y: Array) -> tuple[Array, Array]:
             torque = control(t, self.unpack(y), self.contacts(y))
@@ -185,13 +172,5 @@ class Reference:
 
 def _quaternion_rate(spin: Array, quaternion: Array) -> Array:
     """Return the derivative of a quaternion (x, y, z, w) under a spin in fixed axes, rad/s."""
-    ax, ay, az = spin
-    qx, qy, qz, qw = quaternion
-    return 0.5 * np.array(
-        [
-            ax * qw + ay * qz - az * qy,
-            ay * qw + az * qx - ax * qz,
-            az * qw + ax * qy - ay * qx,
-            -ax * qx - ay * qy - az * qz,
-        ]
-    )
+    vector, scalar = quaternion[:3], quaternion[3]
+    return 0.5 * np.append(scalar * spin + np.cross(spin, vector), -spin @ vector)

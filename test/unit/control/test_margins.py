@@ -113,9 +113,7 @@ def test_travel_counts_from_the_first_contacts_until_one_is_lost(grasp):
     bent = theta.copy()
     bent[2] += 0.1  # turns the fingertip under its contact by 0.1 rad: 6 mm of 60
     assert watch.margins(bent, contacts).face_travel == pytest.approx(0.006, rel=0.05)
-    gone = contacts.positions.copy()
-    gone[1] = np.nan
-    lost = watch.margins(bent, Contacts(gone, contacts.rotations))
+    lost = watch.margins(bent, contacts.without(np.arange(3) == 1))
     assert lost.collinearity == 0.0 and np.isnan(lost.hemisphere)
     assert watch.margins(bent, contacts).face_travel == 0.0
 
@@ -125,16 +123,15 @@ def test_of_four_fingers_three_are_watched_while_one_is_missing(tmp_path):
     theta, axis = 0.5 + 0.03 * np.arange(hand.joints), np.array([1.0, 0.0, 0.0])
     frames = np.array([contact_frame(tip @ axis) for tip in hand.tip_rotations(theta)])
     points = hand.tip_positions(theta) + hand.radii[:, None] * frames[:, :, 1]
-    parted = points.copy()
-    parted[1] = np.nan
-    bent, touching = theta + 0.05 * np.sin(np.arange(hand.joints)), np.isfinite(parted[:, 0])
+    whole, touching = Contacts(points, frames), np.arange(4) != 1
+    parted, bent = whole.without(~touching), theta + 0.05 * np.sin(np.arange(hand.joints))
     watch, others = GraspMonitor(hand), GraspMonitor(hand.part(touching))
-    watch.margins(theta, Contacts(points, frames))
-    others.margins(theta, Contacts(parted, frames).part(touching))
-    apart = watch.margins(bent, Contacts(parted, frames))
-    assert apart == others.margins(bent, Contacts(parted, frames).part(touching))
+    watch.margins(theta, whole)
+    others.margins(theta, parted.part(touching))
+    apart = watch.margins(bent, parted)
+    assert apart == others.margins(bent, parted.part(touching))
     # The arc of a new contact starts here; those of the others continue.
-    assert watch.margins(bent, Contacts(points, frames)).face_travel == apart.face_travel > 0.0
+    assert watch.margins(bent, whole).face_travel == apart.face_travel > 0.0
 
 
 def test_the_worst_of_an_interval_is_reported_and_a_new_one_starts(grasp):

@@ -47,9 +47,8 @@ def ring(fingers, without=()):
 
 def without(loop, *fingers):
     """Return the contacts of a loop without those of some fingers."""
-    positions = loop.state.contacts.positions.copy()
-    positions[list(fingers)] = np.nan
-    return Contacts(positions, loop.state.contacts.rotations)
+    contacts = loop.state.contacts
+    return contacts.without(np.isin(np.arange(len(contacts.positions)), fingers))
 
 
 @pytest.mark.parametrize("fingers", [4, 5])

@@ -5,6 +5,7 @@ from typing import Any
 
 import pytest
 
+from bench.wire import each_tick
 from tactile_hand_ros import names
 from tactile_hand_ros.config.model import Config, flatten, leaves
 from tactile_hand_ros.nodes.composed import MEMBERS
@@ -13,35 +14,12 @@ from tactile_hand_ros.ros.qos import tick_publisher_qos
 from tactile_hand_ros.scenario.scenario import load_scenario
 
 FINGERS = ("finger_1", "finger_2", "finger_3")
-RECEIVED = {
-    names.PLANT: {"joint_command", "push"},
-    names.SENSOR: {"ground_truth/contacts", "ground_truth/slip", *map(names.true_wrench, FINGERS)},
-    names.REGULATOR: {
-        "tactile/contacts",
-        "joint_hold",
-        "touch_rejected",
-        "user_grasp_force",
-        *map(names.wrench, FINGERS),
-    },
-    names.OPTIMIZER: {"tactile/contacts"},
-    names.CONTROLLER: {
-        "joint_states",
-        "joint_hold",
-        "tactile/contacts",
-        "grasp_force",
-        "desired_pose",
-        *map(names.optimal_force, FINGERS),
-    },
+ASKED = {
+    names.PLANT: {"push"},
+    names.REGULATOR: {"joint_hold", "touch_rejected", "user_grasp_force"},
+    names.CONTROLLER: {"joint_hold", "desired_pose"},
 }
-"""The subscriptions of each node in the paper's scenario."""
-
-EACH_TICK = {
-    names.PLANT: {"joint_states", "clock", "ground_truth/object_pose", *RECEIVED[names.SENSOR]},
-    names.SENSOR: {"tactile/contacts", *map(names.wrench, FINGERS)},
-    names.REGULATOR: {"grasp_force", "grip_state", "grip_margin", *map(names.load, FINGERS)},
-    names.OPTIMIZER: set(map(names.optimal_force, FINGERS)),
-    names.CONTROLLER: {"joint_command", "auxiliary_pose"},
-}
+"""What nodes receive besides the topics of a tick."""
 
 
 def parameters(config: Config) -> dict[str, Any]:
@@ -82,9 +60,10 @@ def test_a_node_subscribes_to_what_it_is_configured_to_use(scenario, changes, mo
         name = _name(kind)
         node = here.make(kind, composed=False, **parameters(configs[name]))
         received = {each.topic_name[1:] for each in node.subscriptions}
-        assert received == RECEIVED[name] | more.get(name, set())
+        read = {link.topic for link in each_tick() if name in link.subscribers}
+        assert received == read | ASKED.get(name, set()) | more.get(name, set())
         sent = {each.topic_name[1:] for each in node.publishers if _is_tick(each)}
-        assert sent == EACH_TICK[name]
+        assert sent == {link.topic for link in each_tick() if link.publisher == name}
 
 
 def _name(kind: type) -> str:

@@ -6,7 +6,6 @@ import pytest
 from support.exact import best_forces
 from support.grasps import HALF, contacts_at, moved, pinch, three_faces
 
-from tactile_hand_ros.control.contact import Contacts
 from tactile_hand_ros.control.optimizer.cones import Cones, reaches
 from tactile_hand_ros.control.optimizer.force_optimizer import (
     ForceOptimizer,
@@ -35,9 +34,7 @@ def same_side():
 
 
 def without_finger(contacts, finger):
-    positions, rotations = contacts.positions.copy(), contacts.rotations.copy()
-    positions[finger] = rotations[finger] = np.nan
-    return Contacts(positions, rotations)
+    return contacts.without(np.arange(3) == finger)
 
 
 def test_weights_may_differ_from_contact_to_contact():
