@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Rows of a picture and events, from batches of messages with known numbers."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What a driver receives for a torque, at the limits of the hand too."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What drivers receive, by their own definitions of messages, also without commands."""
 
-from __future__ import annotations
-
 import time
 from pathlib import Path
 from types import SimpleNamespace

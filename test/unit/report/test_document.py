@@ -4,8 +4,6 @@
 `PYTHONPATH=test python test/unit/report/test_document.py` rewrites the expected document.
 """
 
-from __future__ import annotations
-
 import base64
 import json
 import tempfile

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Figures can be drawn of every record, even of failed runs."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

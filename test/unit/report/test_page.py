@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The page is self-contained and has the numbers of the run."""
 
-from __future__ import annotations
-
 import json
 import re
 from pathlib import Path

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The page draws the same tree of links as the physics."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

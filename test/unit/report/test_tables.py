@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Numbers as text: with units, without insignificant digits, and unknown for NaN."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Tick messages in batches: all of them, in order, and only for a subscriber."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from sensor_msgs.msg import JointState

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Model errors: the true hand and gravity differ from the model, which interprets touch."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
