@@ -169,7 +169,7 @@ class ManipulationControllerNode(TactileNode[ControllerConfig]):
         self._desired = DesiredPoses(self, self._controller, lambda: self._tick)
         self._rejection = self.create_publisher(String, names.TOUCH_REJECTED, qos.latched_qos())
         self._rejection.publish(String())
-        self._rejected = ""
+        self._rejected = np.zeros(self.hand.fingers, dtype=bool)
         c = self.config  # with an imu, so that the inputs keep their order
         is_grip = c.law.name == "grip"
         self._takes_forces = composed or c.law.observer.time > 0.0 or c.imu or is_grip
@@ -352,10 +352,10 @@ class ManipulationControllerNode(TactileNode[ControllerConfig]):
 
     def _publish_rejection(self) -> None:
         """Publish the fingers whose touch contradicts the joints, if that has changed."""
-        rejected = names.listed(self.hand.finger_names, self.touch_rejected)
-        if rejected != self._rejected:
+        rejected = self.touch_rejected
+        if (rejected != self._rejected).any():
             self._rejected = rejected
-            self._rejection.publish(String(data=rejected))
+            self._rejection.publish(String(data=names.listed(self.hand.finger_names, rejected)))
 
     def on_blind_tick(self, stamp: int, joints: Joints, reason: str) -> None:
         """Hold the hand at a tick with missing inputs."""

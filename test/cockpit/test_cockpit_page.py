@@ -184,14 +184,15 @@ def choose(page: Page, what: str, fault: str) -> None:
     page.js("arguments[0].dispatchEvent(new Event('change'))", select)
 
 
-def test_the_skin_of_a_finger_fails_and_the_hand_holds_meanwhile(page: Page) -> None:
-    touch = "return report.source.status.nodes.find((n) => n.name === 'manipulation_controller')"
+def test_the_skin_of_a_finger_fails_and_the_hand_goes_on_by_its_joints(page: Page) -> None:
+    told = "return report.source.status.nodes.find((n) => n.name === 'manipulation_controller')"
     choose(page, "finger 2", "off")
     page.wait(lambda: np.isnan(row(page, "contact_positions")[3:6]).all())
     assert np.isfinite(np.delete(row(page, "contact_positions"), slice(3, 6))).all()
-    page.wait(lambda: page.js(touch)["mode"] == "hold")
+    page.wait(lambda: "no usable touch at finger_2" in page.js(told)["message"])
+    assert page.js(told)["mode"] == "drive" and np.isfinite(row(page, "auxiliary_position")).all()
     choose(page, "finger 2", "none")
-    page.wait(lambda: page.js(touch)["mode"] == "drive")
+    page.wait(lambda: "no usable touch" not in page.js(told)["message"])
     assert np.isfinite(row(page, "contact_positions")).all()
 
 

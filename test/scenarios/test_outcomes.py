@@ -160,8 +160,10 @@ def test_a_lost_contact_is_held_safely_and_comes_back(records):
     record = records["lost_contact", True]
     lost = np.isnan(record.true_positions[:, 2, 0])
     assert lost.any() and not lost[-1000:].any()
-    # While it is lost the controller holds, and says nothing of the object's pose.
-    assert np.isnan(record.auxiliary_position[lost & np.roll(lost, 1)]).all()
+    # While it is lost the controller holds, and says nothing of the object's pose. But the skin
+    # might have failed instead, until the finger has left its place.
+    known = np.isfinite(record.auxiliary_position[lost][:, 0])
+    assert not known[10:].any()
     assert np.isfinite(record.auxiliary_position[-1]).all() and np.isfinite(record.command).all()
     assert slip(record) < 0.01
     assert final_errors(record)[0] < 0.01
