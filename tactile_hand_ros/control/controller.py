@@ -307,7 +307,7 @@ class Controller:
 
     @property
     def missing(self) -> str:
-        """Fingers that close while the others hold; empty if all touch or the hand is open."""
+        """Fingers without usable touch while the hand acts, and what they do; empty if none."""
         if self._mode is not Mode.DRIVE:
             return ""
         closing, unfelt = self.hand.part(~self._touching), self._fingers.part(self._unfelt)
@@ -396,7 +396,8 @@ class Controller:
         held = self._touching if is_blind else contacts.touching
         touch = forces if forces is None else forces[held]
         measured = contacts.part(held), optimal_forces[held], grasp_force, touch, applied
-        now, self._unfelt = _Tick(stamp, theta, rates, *measured, dt), ~held[held]
+        now = _Tick(stamp, theta, rates, *measured, dt)
+        self._unfelt = np.zeros(len(now.optimal_forces), dtype=bool)
         if is_blind:
             now = self._with_unfelt(now, ~now.contacts.touching) or now
         problem = self._missing(contacts, now) or self._unmeasured(now.forces)
@@ -558,17 +559,16 @@ class Controller:
         )
         seen = now.contacts, limits, pressing, self._palm
         tips, doubt = self._inputs.step(now.stamp, now.theta, now.rates, *seen)
-        problem = ""
+        if doubt is not None and self._unfelt.any():
+            self._unfelt_touch.lose()  # a finger that loses its object jolts the others
+            return now, tips, doubt.reason
         if doubt is not None:
-            is_blind = self._unfelt.any()
-            if is_blind:  # a finger that loses its object jolts the others
-                self._unfelt_touch.lose()
-            others = self._with_unfelt(now, doubt.fingers)
-            if others is None:
-                problem, self.touch_rejected[:] = doubt.reason, not is_blind
-            else:
-                now, self.touch_rejected[self._touching] = others, doubt.fingers
-        return now, tips, problem or self._implausible(now.optimal_forces, now.grasp_force)
+            replaced = self._with_unfelt(now, doubt.fingers)
+            if replaced is None:
+                self.touch_rejected[:] = True
+                return now, tips, doubt.reason
+            now, self.touch_rejected[self._touching] = replaced, doubt.fingers
+        return now, tips, self._implausible(now.optimal_forces, now.grasp_force)
 
     def _stopped(self, now: _Tick, pose: AuxiliaryPose) -> str:
         """Return why the grasp stops here; empty if it moves on."""

@@ -284,7 +284,7 @@ class InputCheck:
         away = away or self._frozen(theta, contacts, allowed)
         if away is None or (doubt is not None and not (away.fingers & ~doubt.fingers).any()):
             return tips, doubt
-        # The joints or the touch are wrong; nobody knows which.
+        # Either the joints or the touch are wrong, and nothing shows which.
         return tips, Doubt(away.reason, np.ones_like(away.fingers))
 
     def _frozen(self, theta: Array, contacts: Contacts, allowed: Array) -> Doubt | None:

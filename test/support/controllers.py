@@ -7,7 +7,7 @@ import numpy as np
 
 from support.grasps import Array, moved
 from support.plants import plant
-from tactile_hand_ros.control.contact import Contacts
+from tactile_hand_ros.control.contact import Contacts, in_palm, joint_torques
 from tactile_hand_ros.control.controller import Command, Controller, ControllerConfig
 from tactile_hand_ros.control.laws import Target
 from tactile_hand_ros.control.optimizer.force_optimizer import ForceOptimizer, ForceOptimizerConfig
@@ -16,6 +16,10 @@ from tactile_hand_ros.rotations import rotation_from_vector
 TICK = 2_000_000
 REST = np.zeros(9)
 
+
+FORCES = np.array([[0.3, 4.0, -0.2], [0.1, 2.5, 0.6], [-0.4, 3.0, 0.5]])
+FEELING = {"law__observer__time": 0.02, "touch_latency": 0.0}
+"""Parameters with which a controller compares forces and torques, as keywords of `Bench`."""
 
 TABLE_I = {"law.k_p": 3.0, "law.k_o": 0.5, "law.damping": 0.07, "reference_time": 0.0}
 
@@ -67,6 +71,12 @@ class Bench:
         """Return the contacts after a motion of the grasp about its centroid."""
         rotation = rotation_from_vector(turn)
         return moved(self.contacts, rotation, self.centroid - rotation @ self.centroid + shift)
+
+    def pressing(self, forces: Array = FORCES) -> Array:
+        """Return the joint torques at rest for forces in contact frames, shape (9,), N m."""
+        hand, press = self.controller.hand, in_palm(self.contacts.rotations, forces, 1.0)
+        torque = joint_torques(*hand.fingertips(self.theta), self.contacts.positions, press)
+        return torque + hand.gravity_torque(self.theta)
 
     def stiffness(self, theta: Array) -> Array:
         """Return the stiffness of the safe hold at ticks of 2 ms, shape (9, 9), N m/rad."""

@@ -23,12 +23,17 @@ def run_scenario(name: str, changes: dict) -> Record:
 def run_with_failing_skin(name: str, finger: int, fault: str, begins: float, ends: float) -> Record:
     """Return the record of a scenario until `ends`; the skin of a finger fails at `begins`, s."""
     loop = ClosedLoop(load_scenario(name, {"duration": ends}))
+    return with_failing_skin(loop, finger, fault, round(loop.scenario.ticks * begins / ends))
+
+
+def with_failing_skin(loop: ClosedLoop, finger: int, fault: str, first: int) -> Record:
+    """Run a loop to its end and return the record; the skin of a finger fails at a tick."""
     hand, ticks = loop.plant.hand, loop.scenario.ticks
     record, skin = Record.empty(ticks, hand.finger_names, hand.joint_names), loop.chain.sensor
     faults = ["none"] * hand.fingers
     faults[finger] = fault
     for row in range(ticks):
-        if row == round(ticks * begins / ends):
+        if row == first:
             skin.configure(skin.config.model_copy(update={"faults": faults}))
         loop.tick(record, row)
     return record

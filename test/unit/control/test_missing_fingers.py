@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 from support.grasps import contacts_at
 from support.hands import prism_grasp, write_hand
+from support.outcomes import with_failing_skin
 
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
 from tactile_hand_ros.closed_loop.record import Record
@@ -91,19 +92,7 @@ def test_a_finger_that_starts_off_the_object_closes_while_four_hold(tmp_path):
 def test_an_obstacle_off_the_skin_is_pressed_softly(tmp_path):
     """The skin of finger 1 fails during the grasp: it opens and leans on the object."""
     loop = ClosedLoop(scenario_of(tmp_path, 4, 0.6, {}))
-    record = Record.empty(600, loop.plant.hand.finger_names, loop.plant.hand.joint_names)
-    step = loop.chain.sensor.step
-
-    def without_skin(*args):
-        touch = step(*args)
-        positions, forces = touch.positions.copy(), touch.forces.copy()
-        positions[0], forces[0] = np.nan, 0.0
-        return touch._replace(positions=positions, forces=forces)
-
-    for row in range(600):
-        loop.tick(record, row)
-        if row == 300:
-            loop.chain.sensor.step = without_skin
+    record = with_failing_skin(loop, 0, "off", 301)
     assert record.true_forces[290, 0, 1] > 2.0
     weight = loop.controller.hand.finger_weight
     assert 0.0 < record.true_forces[-50:, 0, 1].mean() < 0.3 * weight
@@ -113,13 +102,7 @@ def test_an_obstacle_off_the_skin_is_pressed_softly(tmp_path):
 def test_a_hand_of_four_presses_on_where_the_touch_of_one_is_rejected(tmp_path):
     """The other three do not balance alone, so that what they lack is no load."""
     loop = ClosedLoop(scenario_of(tmp_path, 4, 0.6, {}))
-    record = Record.empty(600, loop.plant.hand.finger_names, loop.plant.hand.joint_names)
-    skin = loop.chain.sensor
-    for row in range(600):
-        if row == 300:
-            faults = ["none", "wrong", "none", "none"]
-            skin.configure(skin.config.model_copy(update={"faults": faults}))
-        loop.tick(record, row)
+    record = with_failing_skin(loop, 1, "wrong", 300)
     np.testing.assert_array_equal(loop.controller.touch_rejected, [False, True, False, False])
     assert record.grasp_force.max() < 2.0 * record.grasp_force[299]
     assert record.true_forces[-1, :, 1].min() > 3.0 and record.true_slid.max() < 1e-4

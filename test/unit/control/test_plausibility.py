@@ -100,4 +100,4 @@ def test_contacts_may_creep_half_the_tolerance_from_where_the_joints_stopped():
                 seen = STATE.theta, STILL, shifted(0, 0, sign * step * i), limits, None
                 found.append(watch.step(i, *seen)[1])
             assert found[:3] == [None] * 3 and "do not change" in found[3].reason
-            assert found[3].fingers.all()  # of the joints nobody knows which
+            assert found[3].fingers.all()  # nothing shows which finger is wrong

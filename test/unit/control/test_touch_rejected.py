@@ -3,48 +3,37 @@
 
 import numpy as np
 import pytest
-from support.controllers import REST, TICK, Bench
+from support.controllers import FEELING, FORCES, REST, TICK, Bench
 
-from tactile_hand_ros.control.contact import in_palm, joint_torques
 from tactile_hand_ros.control.controller import Mode
 from tactile_hand_ros.control.targets import MAX_CHECKED, MAX_WAITING
 from tactile_hand_ros.errors import PoseError
 
-FORCES = np.array([[0.3, 4.0, -0.2], [0.1, 2.5, 0.6], [-0.4, 3.0, 0.5]])
-FEELS = {"law__observer__time": 0.02, "touch_latency": 0.0}
 DO_NOT_FIT = "forces and joint torques do not fit"
-
-
-def pressing(bench, forces=FORCES):
-    """Return the joint torques at rest for forces in contact frames, shape (9,)."""
-    hand = bench.controller.hand
-    press = in_palm(bench.contacts.rotations, forces, 1.0)
-    weight = hand.gravity_torque(bench.theta)
-    return joint_torques(*hand.fingertips(bench.theta), bench.contacts.positions, press) + weight
 
 
 def touch(bench, share=1.0):
     """Return measured forces, and the torques of a fraction of them."""
-    return {"forces": FORCES, "applied": pressing(bench, share * FORCES)}
+    return {"forces": FORCES, "applied": bench.pressing(share * FORCES)}
 
 
 def doubting(**values):
     """Return a controller that has just doubted the measured forces for the first time."""
-    bench = Bench(**FEELS, **values)
+    bench = Bench(**FEELING, **values)
     bench.step(5, **touch(bench))
     bench.step(**touch(bench, 0.0))
     return bench
 
 
 def test_forces_are_compared_with_torques_where_they_decide_what_the_hand_does():
-    bench = Bench(**FEELS)
+    bench = Bench(**FEELING)
     drive = bench.step(5, **touch(bench))
     assert drive.mode is Mode.DRIVE and not drive.do_not_send
     held = bench.step(2, **touch(bench, 0.0))
     assert held.mode is Mode.HOLD and DO_NOT_FIT in held.reason and held.pose is None
-    for bench in (Bench(), Bench(**FEELS, force_tolerance=0.0)):
+    for bench in (Bench(), Bench(**FEELING, force_tolerance=0.0)):
         assert bench.step(3, **touch(bench, 0.0)).mode is Mode.DRIVE
-    bench = Bench(**FEELS)
+    bench = Bench(**FEELING)
     for one in touch(bench, 0.0).items():  # one of the two alone proves nothing
         assert bench.step(3, **dict([one])).mode is Mode.DRIVE
 
@@ -52,7 +41,7 @@ def test_forces_are_compared_with_torques_where_they_decide_what_the_hand_does()
 def test_the_tolerance_of_the_forces_is_the_configured_one():
     modes = []
     for tolerance in (0.1, 0.5):
-        bench = Bench(**FEELS, force_tolerance=tolerance)
+        bench = Bench(**FEELING, force_tolerance=tolerance)
         modes.append(bench.step(60, **touch(bench, 0.75)).mode)
     assert modes == [Mode.HOLD, Mode.DRIVE]
 

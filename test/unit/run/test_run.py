@@ -272,8 +272,8 @@ def test_each_reset_begins_a_section_with_its_own_messages(tmp_path):
         for section, ticks in enumerate((4, 3, 2)):
             for tick in range(ticks):
                 at = START + (1000 * section + 10 * tick) * ms
-                squeeze = force_message((0.0, 10.0 * section + tick, 0.0), tick)
-                bag.write("/grasp_force", squeeze, at - 5 * ms)
+                grasp_force = force_message((0.0, 10.0 * section + tick, 0.0), tick)
+                bag.write("/grasp_force", grasp_force, at - 5 * ms)
                 tick_only(bag, tick, at)
     run = Run(tmp_path / "bag")
     sections = [each.record for each in (*run.earlier, run)]
