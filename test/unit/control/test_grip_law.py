@@ -67,6 +67,15 @@ def test_it_presses_harder_until_no_finger_lacks_its_part(limit, crush, most):
     np.testing.assert_allclose(found, pressing(bench, 10.0 + most, bench.theta), atol=1e-9)
 
 
+def test_it_waits_while_a_finger_is_not_felt():
+    bench = gripping()
+    bench.step(2, forces=normal(bench))
+    unfelt = {"forces": normal(bench, 0.4), "contacts": bench.without_finger(2)}
+    found = bench.step(100, **unfelt)
+    assert found.mode is Mode.DRIVE
+    np.testing.assert_allclose(found.torque, pressing(bench, 10.0, bench.theta), atol=1e-9)
+
+
 def test_its_integral_carries_a_load_by_motions_that_keep_the_contacts():
     bench = gripping(law__integral__time=0.1, law__integral__torque_limit=10.0)
     hand = bench.controller.hand

@@ -79,13 +79,30 @@ def test_its_force_is_that_of_its_torques():
     assert touch.filled(bench.theta, bench.contacts, FORCES, ~NONE, torque) is None
 
 
-def test_what_the_torques_of_two_joints_do_not_show_stays_as_it_was_felt(tmp_path):
-    hand = Hand.load(str(write_hand(tmp_path, [2, 3, 3])))
-    theta = np.array([0.3, 0.9, 0.1, 0.4, 0.8, -0.1, 0.5, 0.7])
+def pressed(tmp_path, joints, theta):
+    """Return a hand of that many joints a finger, its fingertips, and contacts of all fingers."""
+    hand = Hand.load(str(write_hand(tmp_path, joints)))
     tips = hand.fingertips(theta)
     outward = tips.positions - tips.positions.mean(axis=0)
     normals = -outward / np.linalg.norm(outward, axis=1)[:, None]
-    contacts = contacts_at(tips.positions + hand.radii[:, None] * normals, normals)
+    return hand, tips, contacts_at(tips.positions + hand.radii[:, None] * normals, normals)
+
+
+def test_what_a_straight_finger_does_not_show_is_not_made_up_from_its_noise(tmp_path):
+    theta = np.array([0.3, 0.0, 1e-3, 0.1, 0.4, 0.8, -0.1, 0.5, 0.7])
+    hand, tips, contacts = pressed(tmp_path, [3, 3, 3], theta)
+    press = in_palm(contacts.rotations, FORCES, 1.0)
+    noise = 0.02 * np.array([1.0, -1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
+    touch = UnfeltTouch(hand)
+    touch.feel(theta, contacts, FORCES)
+    torque = joint_torques(*tips, contacts.positions, press) + noise
+    _, forces = touch.filled(theta, contacts, FORCES, FIRST, torque)
+    assert 0.01 < np.abs(forces - FORCES).max() < 1.0
+
+
+def test_what_the_torques_of_two_joints_do_not_show_stays_as_it_was_felt(tmp_path):
+    theta = np.array([0.3, 0.9, 0.1, 0.4, 0.8, -0.1, 0.5, 0.7])
+    hand, tips, contacts = pressed(tmp_path, [2, 3, 3], theta)
     press = in_palm(contacts.rotations, FORCES, 1.0)
     torque = joint_torques(*tips, contacts.positions, press)
     touch = UnfeltTouch(hand)
@@ -137,13 +154,16 @@ def test_the_value_of_a_rejected_force_has_no_effect(finger):
 
 def test_a_jolt_of_the_others_shows_that_a_contact_is_lost():
     """Its touch is not rejected, so that the regulator still follows what the others carry."""
-    bench = Bench(**FEELING)
-    good = {"forces": FORCES, "applied": bench.pressing()}
+    bench = Bench(gravity_compensation=True, **FEELING)
+    forces = bench.grasp_force * bench.optimal
+    good = {"forces": forces, "applied": bench.pressing(forces)}
     bench.step(50, **good)
     lost = {**good, "contacts": bench.without_finger(0)}
-    assert bench.step(5, **lost | {"forces": FORCES * [[0.0], [9.0], [9.0]]}).mode is Mode.HOLD
+    calm, jolted = (lost | {"forces": forces * [[0.0], [s], [s]]} for s in (1.0, 9.0))
+    assert bench.step(50, **calm).mode is Mode.DRIVE
+    assert bench.step(5, **jolted).mode is Mode.HOLD
     assert not bench.controller.touch_rejected.any()
-    assert bench.step(50, **lost | {"forces": FORCES * [[0.0], [1.0], [1.0]]}).mode is Mode.HOLD
+    assert bench.step(50, **calm).mode is Mode.HOLD
     assert bench.step(50, **good).mode is Mode.DRIVE
 
 
