@@ -134,7 +134,8 @@ class ForceOptimizerNode(TactileNode[ForceOptimizerConfig]):
     def _rehearse(self) -> None:
         contacts, forces = example_touch(self._fingers)
         ones = np.ones(self._fingers)
-        self._optimizer.step(0, contacts, CarriedLoad(forces, ones, ones), 1.0)
+        for stamp in (0, 1):  # the second follows the first
+            self._optimizer.step(stamp, contacts, CarriedLoad(forces, ones, ones), 1.0)
         self.on_restart()
 
     def check_config(self, config: ForceOptimizerConfig) -> None:

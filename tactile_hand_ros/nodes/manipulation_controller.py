@@ -27,6 +27,7 @@ from tactile_hand_ros import names
 from tactile_hand_ros.compiled import Array
 from tactile_hand_ros.control.contact import Contacts, example_touch
 from tactile_hand_ros.control.controller import Command, Controller, ControllerConfig, Mode
+from tactile_hand_ros.control.grasp import best_rotation
 from tactile_hand_ros.control.laws import Target
 from tactile_hand_ros.control.margins import UNKNOWN_MARGINS, GraspMonitor
 from tactile_hand_ros.errors import ConfigurationError, GraspError
@@ -43,7 +44,7 @@ from tactile_hand_ros.ros.node import TactileNode
 from tactile_hand_ros.ros.runner import run_node
 from tactile_hand_ros.ros.ticks import TickInputs
 
-_TICK, _SLOW = 1_000_000, 1e-3  # ns and rad/s, of a rehearsal
+_TICK, _SLOW, _SHORT = 1_000_000, 1e-3, 1e-3  # ns, rad/s and m, of a rehearsal
 _AT_LIMIT = "a joint is at the effort limit of the URDF; lower the grasp force or the gains"
 
 
@@ -196,16 +197,21 @@ class ManipulationControllerNode(TactileNode[ControllerConfig]):
         self._inputs = TickInputs(self, declared, self, silence=self.config.input_timeout)
 
     def _rehearse(self) -> None:
-        """Answer ticks of moving joints until the delay of torques is found: all code is loaded."""
+        """Answer ticks of a moving grasp until the delay of torques is known: it loads all code."""
         hand, still = self._controller.hand, np.zeros(self._controller.hand.joints)
         contacts, forces = example_touch(hand.fingers)
-        on_tips = hand.tip_positions(still) + hand.radii[:, None] * contacts.normals
-        contacts = Contacts(on_tips, contacts.rotations)
-        touch = contacts, forces / hand.fingers, 1.0, forces
         for stamp in range(0, (self.config.hold.latency + 3) * _TICK, _TICK):
             theta, rates = still + _SLOW * 1e-9 * stamp, still + _SLOW
-            self._controller.step(stamp, theta, rates, *touch, still)
-        GraspMonitor(hand).margins(still, contacts)
+            on_tips = hand.tip_positions(theta) + hand.radii[:, None] * contacts.normals
+            touch = Contacts(on_tips, contacts.rotations)
+            if stamp == _TICK:
+                ahead = Target(touch.centroid + _SHORT, np.full((3, 3), np.nan))
+                self._controller.schedule(ahead, 0, judged=False)
+            self._controller.step(
+                stamp, theta, rates, touch, forces / hand.fingers, 1.0, forces, still
+            )
+        GraspMonitor(hand).margins(still, touch)
+        best_rotation(touch.positions, touch.positions)  # of a move whose contacts roll
         self._controller.reset()
 
     @property

@@ -218,7 +218,8 @@ class SlipRegulatorNode(TactileNode[SlipRegulatorConfig]):
 
     def _rehearse(self, fingers: int) -> None:
         touch, regulator = example_touch(fingers), self._regulator
-        regulator.step(0, *touch)
+        for stamp in (0, 1):  # the second knows the load
+            regulator.step(stamp, *touch)
         self._report.note(regulator, 0, *touch, GripState.of(regulator))
         self.on_restart()
 

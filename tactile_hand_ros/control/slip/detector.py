@@ -167,7 +167,8 @@ class SlipDetector:
             freedoms: Components of a force that are tested: 2 across the internal force, or 1 for
                 normal forces, which must have no internal directions.
         """
-        _watch(self._memory, self._config, forces, normals, internal, fresh, dt, freedoms)
+        directions = np.ascontiguousarray(normals), np.ascontiguousarray(internal)
+        _watch(self._memory, self._config, forces, *directions, fresh, dt, freedoms)
         return self.state
 
 
