@@ -59,6 +59,32 @@ class StallError(TactileHandError):
     """The plant receives no more answers."""
 
 
+class StallCheck:
+    """Detects that a run has come to a stop.
+
+    A user may pause any run. In an endless one a user may also stop a node, to see the joints held.
+    """
+
+    def __init__(self, *, is_endless: bool) -> None:
+        """Start before the first tick; `is_endless` for a run that a user ends."""
+        self._is_endless = is_endless
+        self._last: int | None = None
+        self._since = 0.0
+
+    def step(self, now: float, tick: int, mode: str) -> bool:
+        """Return whether no tick has been answered for `STALL`.
+
+        Args:
+            now: Time, s.
+            tick: The newest answered tick, ns; -1 before the first.
+            mode: What the plant does.
+        """
+        is_users = mode == "paused" or (self._is_endless and tick >= 0)
+        if tick != self._last or is_users:
+            self._last, self._since = tick, now
+        return now - self._since > STALL
+
+
 @dataclass(frozen=True)
 class Plan:
     """The plan of a run; see `RunOptions`.
@@ -235,7 +261,7 @@ class Session:
             StallError: If ticks are no longer answered.
         """
         outcome, end = self.outcome, self.plan.end
-        progress = due = time.monotonic()
+        due, stall = time.monotonic(), StallCheck(is_endless=end is None)
         while end is None or outcome.last_tick < end:
             self.signals.wait(_FIRST_LOOK if outcome.last_tick < 0 else _LOOK)
             self._processes.check()
@@ -244,9 +270,7 @@ class Session:
             now = time.monotonic()
             if before < 0 <= outcome.last_tick:
                 outcome.first_tick = round(_process_age(), 3)
-            if before != outcome.last_tick:
-                progress = now
-            elif now - progress > STALL:
+            if stall.step(now, outcome.last_tick, monitor.of(PLANT).get("mode", "")):
                 raise StallError(_stall(monitor))
             if now >= due:
                 due = now + view.period
