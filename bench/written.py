@@ -15,6 +15,7 @@ from tactile_hand_ros.cdr import clock_bytes
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
 from tactile_hand_ros.closed_loop.record import Record
 from tactile_hand_ros.compiled import Array
+from tactile_hand_ros.control.loads import CarriedLoad
 from tactile_hand_ros.nodes.recorder.writer_process import WriterProcess
 from tactile_hand_ros.ros.messages import ContactsCodec, JointCodec, PoseCodec, WrenchCodec
 from tactile_hand_ros.scenario.scenario import Scenario
@@ -45,7 +46,7 @@ def written_calls(scenario: Scenario, ticks: int) -> float:
         began = time.perf_counter()
         for row in range(ticks):
             loop.tick(record, row)
-            for topic, kind, data in messages.of(row):
+            for topic, kind, data in messages.of(row, loop.regulator.carried):
                 if topic not in channels:
                     channels[topic] = writer.add_channel(topic, kind)
                 now = time.time_ns()
@@ -86,12 +87,18 @@ class TickMessages:
         self._auxiliary = _pose(
             names.AUXILIARY_POSE, _POSE, pose, r.auxiliary_position, r.auxiliary_quaternion
         )
+        self._loads = [(names.load(name), _wrench_codec(name)) for name in fingers]
+        self._margin = JointCodec(fingers, ("position", "effort"))
 
-    def of(self, row: int) -> Iterator[Message]:
-        """Yield the messages of a tick."""
+    def of(self, row: int, carried: CarriedLoad) -> Iterator[Message]:
+        """Yield the messages of a tick, with the load of the regulator, which no record has."""
         stamp, is_posed = int(self._record.stamps[row]), self._record.auxiliary_position[row, 0]
         for topic, kind, encode in self._parts + [self._auxiliary] * bool(np.isfinite(is_posed)):
             yield topic, kind, encode(stamp, row)
+        for (topic, codec), load in zip(self._loads, carried.load.tolist(), strict=True):
+            yield topic, _WRENCH, codec.encode(load, stamp)
+        margin = self._margin.encode(stamp, carried.friction, carried.reserve)
+        yield names.GRIP_MARGIN, _JOINTS, margin
 
 
 Part = tuple[str, str, Callable[[int, int], bytes]]
@@ -113,6 +120,10 @@ def _wrenches(topic: Callable[[str], str], fingers: Sequence[str], forces: Array
     return [_wrench(topic(name), name, forces[:, i]) for i, name in enumerate(fingers)]
 
 
+def _wrench_codec(finger: str) -> WrenchCodec:
+    return WrenchCodec(names.contact_frame(finger), nan_allowed=True)
+
+
 def _wrench(topic: str, finger: str, forces: Array) -> Part:
-    codec = WrenchCodec(names.contact_frame(finger), nan_allowed=True)
+    codec = _wrench_codec(finger)
     return topic, _WRENCH, lambda stamp, row: codec.encode(forces[row].tolist(), stamp)

@@ -85,7 +85,7 @@ def sweep(
 ) -> None:
     """Map how the outcome of a scenario depends on its parameters.
 
-    Writes a table, a summary and a figure. After an interruption the same command continues.
+    Writes a table and a summary. After an interruption the same command continues.
     """
     from tactile_hand_ros.config.plain_yaml import parse_changes
     from tactile_hand_ros.sweep.engine import workers

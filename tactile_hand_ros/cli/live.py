@@ -37,8 +37,8 @@ def live(options: LiveOptions) -> None:
 
     Prints the link of the page and opens it. The nodes share one process, in lockstep at the speed
     of real time; --processes and --pacing realtime change that. The scenario is 'gravity' by
-    default. The run lasts until Ctrl-C; then it is judged like
-    any other. Exit codes are those of `run`.
+    default. The run lasts until Ctrl-C; no goal is judged,
+    only whether the object fell. Exit codes are those of `run`.
     """
     if options.bag is not None:
         _show(options.bag, options.browser)

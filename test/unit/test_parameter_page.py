@@ -11,7 +11,7 @@ from tactile_hand_ros.cockpit.config import CockpitConfig
 from tactile_hand_ros.config.model import leaves
 from tactile_hand_ros.nodes.driver_output import DriverOutputConfig
 from tactile_hand_ros.nodes.recorder.config import RecorderConfig
-from tactile_hand_ros.scenario.scenario import Scenario
+from tactile_hand_ros.scenario.scenario import Scenario, TargetConfig
 
 PAGE = Path(__file__).parents[2] / "docs" / "reference" / "parameters.md"
 SHARED = ("hand", "layout", "gravity", "calibration", "seed", "duration")
@@ -55,3 +55,11 @@ def test_the_page_lists_what_is_declared(node):
     shared = {"recorder": (), "cockpit": ("hand", "object")}.get(node, SHARED)
     fields = {n: f for n, f in leaves(MODELS[node]).items() if n.split(".")[0] not in shared}
     assert written == [row(name, field) for name, field in fields.items()]
+
+
+def test_the_page_lists_the_keys_of_a_target():
+    section = PAGE.read_text("utf-8").split("\n### `targets`")[1].split("\n### ")[0]
+    written = [line.split(" | ") for line in section.splitlines() if line.startswith("| `")]
+    declared = [row(*each).split(" | ") for each in TargetConfig.model_fields.items()]
+    # Lists of a scenario have no column for parameters that may change during a run.
+    assert written == [[*cells[:4], cells[5]] for cells in declared]
