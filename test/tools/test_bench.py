@@ -9,8 +9,10 @@ from bench.__main__ import main
 from bench.bare_loop import missed_by_bare_loop, wake_at_each_tick
 from bench.graph import BenchError, run_graph
 from bench.result import Measurement
-from bench.wire import rate
-from bench.written import written_calls
+from bench.wire import each_tick, rate
+from bench.written import TickMessages, written_calls
+from tactile_hand_ros.closed_loop.loop import ClosedLoop
+from tactile_hand_ros.closed_loop.record import Record
 from tactile_hand_ros.scenario.scenario import NODES, load_scenario
 
 
@@ -55,6 +57,14 @@ def test_a_short_composed_run_is_measured():
 def test_a_run_that_is_refused_is_an_error_with_its_reason():
     with pytest.raises(BenchError, match="no_such"):
         run_graph(0.2, "--set", "plant.no_such=1")
+
+
+def test_the_loop_writes_each_message_of_a_tick():
+    loop = ClosedLoop(load_scenario("paper"))
+    record = Record.empty(1, loop.plant.hand.finger_names, loop.plant.hand.joint_names)
+    loop.tick(record, 0)
+    written = TickMessages(record).of(0, loop.regulator.carried)
+    assert {topic for topic, *_ in written} == {link.topic for link in each_tick()}
 
 
 def test_ticks_go_round_by_messages_alone():
