@@ -43,7 +43,10 @@ def run_command(program: str, command: Callable[[], Any]) -> int:
         with _ended_by_signals():
             code = command()
             sys.stdout.flush()
-    except BrokenPipeError:  # the reader of our output is gone
+    except (BrokenPipeError, SystemExit) as end:
+        # The reader of our output is gone, of which Typer and Rich make an exit code.
+        if not isinstance(end, BrokenPipeError) and not isinstance(end.__context__, OSError):
+            raise
         _drop_unwritten()
         return 0
     except (KeyboardInterrupt, _Signalled) as end:

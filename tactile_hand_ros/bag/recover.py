@@ -55,7 +55,8 @@ def recover(bag: Path | str, out: Path | str | None = None, last: float = 0.0) -
             keeps all.
 
     Raises:
-        BagError: If there is no MCAP bag, the output exists, or the disk rejects the data.
+        BagError: If there is no MCAP bag or no message in it, the output exists, or the disk
+            rejects the data.
     """
     source = find_bag(Path(bag))
     files = _files_of(source)
@@ -66,7 +67,10 @@ def recover(bag: Path | str, out: Path | str | None = None, last: float = 0.0) -
     try:
         for file in files:
             copy.add(file)
-        return Recovery(target, copy.close(), copy.left)
+        recovery = Recovery(target, copy.close(), copy.left)
+        if not recovery.messages:
+            raise BagError(f"nothing in {source} can be recovered; no bag was written.")
+        return recovery
     except BaseException:  # half a bag would block the next attempt
         shutil.rmtree(target, ignore_errors=True)
         raise

@@ -81,6 +81,20 @@ def read_yaml(path: str | Path) -> Any:
     return parse_yaml(read_text(path, LARGEST_YAML), str(path))
 
 
+class _Loader(yaml.SafeLoader):
+    """Rejects a key that is given twice; YAML would keep the last value."""
+
+    def construct_mapping(self, node: Any, deep: bool = False) -> Any:
+        """Return a mapping as plain data."""
+        seen: set[str] = set()
+        for key, _ in node.value:
+            if isinstance(key, yaml.ScalarNode) and key.value in seen:
+                problem = f"the key '{key.value}' is given twice"
+                raise yaml.MarkedYAMLError(problem=problem, problem_mark=key.start_mark)
+            seen.add(str(key.value))
+        return super().construct_mapping(node, deep)
+
+
 def parse_yaml(text: str, source: str = "") -> Any:
     """Parse YAML text as plain data; empty text is an empty mapping.
 
@@ -88,7 +102,7 @@ def parse_yaml(text: str, source: str = "") -> Any:
         ConfigurationError: If the text is not YAML.
     """
     try:
-        data = yaml.safe_load(text)
+        data = yaml.load(text, _Loader)
     except yaml.YAMLError as error:
         mark = getattr(error, "problem_mark", None)
         place = f"line {mark.line + 1}, column {mark.column + 1}" if mark else "this file"

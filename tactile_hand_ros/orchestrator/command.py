@@ -27,7 +27,7 @@ def run(context: typer.Context, options: RunOptions) -> None:
 
     Exit code 0: the goal was reached and the bag is complete; 1: it was not, or something failed;
     2: the scenario was refused and nothing was started; 3: the object was dropped; 130, 143: ended
-    by SIGINT, SIGTERM.
+    by SIGINT, SIGTERM. Without a recording nothing is judged: 0 means that nothing failed.
     """
     signals, ros_arguments = context.obj or (_watching(), [])
     raise typer.Exit(start(options, signals, ros_arguments, str(context.find_root().info_name)))

@@ -115,7 +115,7 @@ def rich_table(title: str, columns: Sequence[str], rows: Rows = ()) -> Table:
         title=title, title_justify="left", title_style="bold", show_header=any(columns)
     )
     for column in columns:
-        table.add_column(column, no_wrap=column == "verdict")
+        table.add_column(column, no_wrap=column == "verdict", overflow="fold")
     for row in rows:
         table.add_row(*map(plain, row))
     return table

@@ -136,6 +136,11 @@ class Run(Result):
         types = self.summary.types
         prefix = find_prefix(types, namespace, self.bag)
         seen = find_fingers(types, prefix)
+        unknown = [name for name in fingers or () if name not in seen]
+        if seen and unknown:
+            raise BagError(
+                f"The bag {self.bag} has no finger '{unknown[0]}', but: {', '.join(seen)}."
+            )
         topics = HandTopics(prefix, list(fingers or self._fingers_of_scenario(seen) or seen))
         topics.check(types)
         return topics

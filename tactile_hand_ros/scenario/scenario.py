@@ -122,12 +122,14 @@ class Scenario(Config):
             return data
         data = dict(data)
         for node in NODES:
-            section, model = data.get(node) or {}, cls.model_fields[node].annotation
+            section, model = data.get(node, {}), cls.model_fields[node].annotation
             assert isinstance(model, type) and issubclass(model, Config)
             shared = [name for name in _SHARED if name in model.model_fields]
             top = {name: data.get(name, cls.model_fields[name].default) for name in shared}
             if isinstance(section, Config):  # its defaults would silently contradict the top level
                 raise ValueError(f"give '{node}' as a mapping, not as {type(section).__name__}")
+            if section is None:  # it would hide what the extended scenario says
+                raise ValueError(f"'{node}' is empty; give its keys, or leave it out")
             if not isinstance(section, dict):
                 continue  # validation reports the error
             if wrong := [name for name in shared if name in section]:
@@ -135,6 +137,22 @@ class Scenario(Config):
             # Defaults too: those of a node may differ from those of the scenario.
             data[node] = {**section, **top}
         return merged(_derived(data), data)
+
+    @model_validator(mode="after")
+    def _the_regulator_takes_each_user_force(self) -> Scenario:
+        c = self.slip_regulator
+        for force in (each.force for each in self.user_forces):
+            if c.mode == "auto":
+                raise ValueError(
+                    "user_forces change nothing where slip_regulator.mode is auto; set it to user "
+                    "or shared"
+                )
+            if not c.minimum <= force <= c.maximum:
+                raise ValueError(
+                    f"user_forces has {force:g} N, expected {c.minimum:g} to {c.maximum:g} N, the "
+                    "minimum and the maximum of slip_regulator"
+                )
+        return self
 
     @model_validator(mode="after")
     def _the_hold_stays_inside_the_crush_limit(self) -> Scenario:

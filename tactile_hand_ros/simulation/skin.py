@@ -5,10 +5,11 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from typing import TYPE_CHECKING, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import field_validator
 
 from tactile_hand_ros.compiled import Array, Row, Rows, compiled, row_of
 from tactile_hand_ros.config.model import Config, param
@@ -110,6 +111,12 @@ class TactileSensorConfig(Config):
         "all", "components of a force that it measures; the others are NaN"
     )
     seed: int = param(1, "seed of everything random", ge=0)
+
+    @field_validator("faults", mode="before")
+    @classmethod
+    def _off_is_a_word(cls, given: Any) -> Any:
+        """Take False for off, as YAML reads it."""
+        return ["off" if x is False else x for x in given] if isinstance(given, list) else given
 
     def check_faults(self, fingers: int) -> None:
         """Check that each of k fingers has a fault, or none has.

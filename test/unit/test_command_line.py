@@ -106,6 +106,18 @@ class Full(io.StringIO):
             raise self._error
 
 
+def test_a_reader_that_is_gone_is_no_failure(capsys):
+    def printing() -> None:
+        try:
+            raise BrokenPipeError
+        except OSError:
+            sys.exit(1)  # as Typer and Rich do
+
+    assert run_command("program", printing) == 0 and capsys.readouterr().err == ""
+    with pytest.raises(SystemExit):
+        run_command("program", lambda: sys.exit(3))
+
+
 @pytest.mark.parametrize(
     ("error", "code"), [(OSError(errno.ENOSPC, "Full"), 2), (BrokenPipeError(), 0)]
 )

@@ -38,6 +38,13 @@ def test_a_number_with_an_exponent_is_a_number():
     assert validate(Deep, parse_yaml("numbers: [1e3, 1E-3, 2.5]")).numbers == [1e3, 1e-3, 2.5]
 
 
+def test_a_key_that_is_given_twice_is_refused_with_its_line():
+    with pytest.raises(ConfigurationError, match="line 4, column 3.*the key 'mass' is given twice"):
+        parse_yaml("plant:\n  mass: 1\n  size: 2\n  mass: 3\n", "some.yaml")
+    assert parse_yaml("a: {mass: 1}\nb: {mass: 2}") == {"a": {"mass": 1}, "b": {"mass": 2}}
+    assert parse_yaml("a: &x {m: 1}\nb: {<<: *x, m: 2}")["b"] == {"m": 2}
+
+
 def test_only_short_files_of_text_are_read(tmp_path):
     (tmp_path / "half").write_bytes(b"ab\xed\xa0\x80")  # half a surrogate pair
     (tmp_path / "large").write_bytes(b"x" * LARGEST)

@@ -120,6 +120,11 @@ class TestRecord:
             write_tick(bag, record, 0, START)
         assert np.isnan(Run(tmp_path / "bag", fingers=["finger_1"]).record.contact_positions).all()
 
+    def test_a_finger_that_the_bag_lacks_is_refused(self, tmp_path):
+        write_record(tmp_path / "bag", random_record())
+        with pytest.raises(BagError, match="no finger 'finger1', but: finger_1, finger_2, fin"):
+            Run(tmp_path / "bag", fingers=["finger1", "finger_2", "finger_3"])
+
     def test_fingers_are_in_the_order_of_the_scenario(self, tmp_path):
         record = random_record()
         said = {"scenario": resolved(load_scenario("paper"))}

@@ -10,7 +10,7 @@ from tactile_hand_ros.config.paths import scenario_names
 from tactile_hand_ros.control.laws import law_of
 from tactile_hand_ros.errors import ConfigurationError
 from tactile_hand_ros.scenario.preflight import check_scenario
-from tactile_hand_ros.scenario.scenario import Scenario, load_scenario, resolved
+from tactile_hand_ros.scenario.scenario import NODES, Scenario, load_scenario, resolved
 from tactile_hand_ros.simulation.plant_config import PlantConfig
 
 
@@ -40,6 +40,28 @@ def test_the_paper_is_table_one():
     (target,) = paper.targets
     np.testing.assert_array_equal(target.target().position, [-0.1, 0.2, 0.4])
     np.testing.assert_array_equal(target.target().orientation, np.eye(3))
+
+
+@pytest.mark.parametrize("node", NODES)
+def test_an_empty_section_is_refused_as_it_would_hide_what_is_extended(tmp_path, node):
+    with pytest.raises(ConfigurationError, match=f"'{node}' is empty"):
+        load(tmp_path, f"extends: gravity\n{node}:\n")
+
+
+@pytest.mark.parametrize(
+    ("mode", "force", "reason"),
+    [
+        ("auto", 9.0, "change nothing where slip_regulator.mode is auto"),
+        ("user", 61.0, "user_forces has 61 N, expected 0.5 to 60 N"),
+        ("shared", 0.4, "user_forces has 0.4 N"),
+    ],
+)
+def test_a_force_that_the_regulator_ignores_or_rejects_is_refused(mode, force, reason):
+    changes = {"slip_regulator.mode": mode, "user_forces": [{"time": 0.1, "force": force}]}
+    with pytest.raises(ConfigurationError, match=reason):
+        load_scenario("hold", changes)
+    changes["slip_regulator.mode"], changes["user_forces"][0]["force"] = "user", 60.0
+    assert load_scenario("hold", changes).user_forces[0].force == 60.0
 
 
 @pytest.mark.parametrize("text", ["", "# nothing", "{}"])

@@ -6,6 +6,7 @@ import pytest
 from scipy.signal import lfilter
 from support.grasps import HALF
 
+from tactile_hand_ros.config.plain_yaml import parse_yaml
 from tactile_hand_ros.control.contact import contact_frame
 from tactile_hand_ros.errors import ConfigurationError
 from tactile_hand_ros.rotations import quaternion_from_rotation, rows_of_quaternions
@@ -245,6 +246,11 @@ def test_each_finger_has_its_own_fault():
 
 def test_the_first_sample_of_a_stuck_finger_is_the_true_one():
     same(readings(sensor(faults=["stuck"] * 3), 1)[0], truth())
+
+
+def test_off_needs_no_quotes_in_yaml():
+    text = "{faults: [off, none, 'off']}"
+    assert TactileSensorConfig(**parse_yaml(text)).faults == ["off", "none", "off"]
 
 
 @pytest.mark.parametrize("faults", [["off"], ["off"] * 4])
