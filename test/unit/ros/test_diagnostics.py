@@ -3,7 +3,15 @@
 
 import pytest
 
-from tactile_hand_ros.ros.diagnostics import ERROR, OK, WARN, WARN_SECONDS, Diagnostics, Mostly
+from tactile_hand_ros.ros.diagnostics import (
+    ERROR,
+    OK,
+    STALE,
+    WARN,
+    WARN_SECONDS,
+    Diagnostics,
+    Mostly,
+)
 
 
 class Clock:
@@ -51,6 +59,19 @@ def test_the_rate_is_that_since_the_last_status(diagnostics, clock):
     assert values(diagnostics.status())["rate_hz"] == "0.0"  # no time has passed
     clock.now += 1.0
     assert diagnostics.status().message == "no new tick, 41 so far"
+
+
+def test_silence_is_named_also_before_the_first_tick_and_beside_an_old_warning(diagnostics, clock):
+    assert diagnostics.status().message == "running"
+    diagnostics.expects = "joint_states"
+    assert diagnostics.status().level == STALE
+    assert "no joint_states" in diagnostics.status().message
+    diagnostics.tick()
+    diagnostics.fault("margin", "small", WARN)
+    assert diagnostics.status().message == "small"
+    assert diagnostics.status().message == "small; no new tick, 1 so far"
+    diagnostics.clear("margin")
+    assert diagnostics.status().message == "no new tick, 1 so far"
 
 
 def test_an_error_outlasts_rejections_and_warnings_but_not_a_fault(diagnostics, clock):

@@ -357,6 +357,19 @@ def test_while_two_senders_send_the_trigger_no_tick_is_answered():
     assert ear.kinds() == []
 
 
+def test_the_second_sender_is_forgotten_when_it_has_gone():
+    ear = Ear()
+    other = JOINTS.encode(2 * MS, THETA, RATES, 0.0 * THETA)
+    for number in (101, 102):
+        ear.bring(other, number)
+        ear.joints(2)
+    assert "two senders" in ear.diagnostics.status().message
+    ear.now = 600 * MS  # it expires between two messages
+    complete(ear, 3)
+    assert "two senders" not in ear.diagnostics.status().message
+    assert ear.kinds()[-1] == ("tick", 3)
+
+
 @pytest.mark.parametrize("ahead", [101, 900, 1_001, 10**6])
 def test_one_stamp_far_ahead_does_not_silence_the_others(ahead):
     ear = Ear()
