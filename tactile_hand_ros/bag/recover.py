@@ -4,13 +4,17 @@
 from __future__ import annotations
 
 import contextlib
+import os
 import shutil
+from bisect import bisect_left, bisect_right
 from pathlib import Path
-from typing import NamedTuple
+from typing import BinaryIO, NamedTuple
 
 import yaml
+from mcap.reader import SeekingReader
 from mcap.records import Channel, Chunk, DataEnd, McapRecord, Message, Metadata, Schema
 from mcap.stream_reader import StreamReader, breakup_chunk
+from mcap.summary import Summary
 from rosbags.rosbag2.metadata import dump_qos_v9, parse_qos
 
 from tactile_hand_ros.bag.metadata import RECORD_KEY, RECORD_NAME, BagMetadata, OfferedQos
@@ -88,6 +92,14 @@ def _files_of(bag: Path) -> list[Path]:
     return files
 
 
+def _index(stream: BinaryIO) -> Summary:
+    """Return the index at the end of a file, which is empty if the file is cut off."""
+    with contextlib.suppress(Exception):  # damaged data can fail anywhere in the parsers
+        stream.seek(0)  # it reads the magic number from where it is
+        return SeekingReader(stream, record_size_limit=LARGEST).get_summary() or Summary()
+    return Summary()
+
+
 def _last_received(files: list[Path]) -> int:
     """Return when the last complete chunk of a bag ends, ns; 0 without one."""
     found = 0
@@ -110,6 +122,7 @@ class _Copy:
         self._numbers: dict[tuple[str, str], int] = {}
         self._schemas: dict[int, Schema] = {}
         self._channels: dict[int, int] = {}
+        self._index = Summary()  # of a file, empty if it is cut off
 
     def add(self, file: Path) -> None:
         """Add all messages and metadata of a file, up to its index or its truncated end."""
@@ -117,20 +130,32 @@ class _Copy:
         with file.open("rb") as stream:
             if not _MAGIC.startswith(stream.read(len(_MAGIC))):
                 raise BagError(f"The file {file} is not an MCAP file; only those can be recovered.")
-            reader = StreamReader(
-                stream, skip_magic=True, emit_chunks=True, record_size_limit=LARGEST
-            )
-            records, end = reader.records, stream.tell()
-            while True:
-                try:
-                    record = next(records)
-                except Exception:  # truncated; damaged data can fail anywhere in the parsers
-                    self.left += file.stat().st_size - end
-                    return
-                if isinstance(record, DataEnd):
-                    return
-                end = stream.tell()
-                self._add_record(record)
+            begin, self._index = stream.tell(), _index(stream)
+            chunks = sorted(chunk.chunk_start_offset for chunk in self._index.chunk_indexes)
+            while (damage := self._add_from(stream, begin, chunks)) is not None:
+                begin = next((at for at in chunks if at > damage), file.stat().st_size)
+                self.left += begin - damage
+
+    def _add_from(self, stream: BinaryIO, begin: int, chunks: list[int]) -> int | None:
+        """Add records from a place in a file on; return where one is damaged, None if none is.
+
+        A record that runs over the start of a chunk, or ends the data before one, is damaged.
+        """
+        end = stream.seek(begin)
+        records = StreamReader(
+            stream, skip_magic=True, emit_chunks=True, record_size_limit=LARGEST
+        ).records
+        while True:
+            try:
+                record = next(records)
+            except Exception:  # truncated; damaged data can fail anywhere in the parsers
+                return end if end < stream.seek(0, os.SEEK_END) else None
+            before, end = end, stream.tell()
+            if isinstance(record, DataEnd):
+                return before if bisect_left(chunks, end) < len(chunks) else None
+            if bisect_left(chunks, end) > bisect_right(chunks, before):
+                return before
+            self._add_record(record)
 
     def _add_record(self, record: McapRecord) -> None:
         """Add a record, or count its bytes if it is damaged."""
@@ -141,6 +166,8 @@ class _Copy:
                 for each in breakup_chunk(record, validate_crc=True):
                     self._add_record(each)
             elif isinstance(record, Message):
+                if record.channel_id not in self._channels:  # they were in a damaged chunk
+                    self._add_channel(self._index.channels[record.channel_id])
                 channel = self._channels[record.channel_id]
                 if record.log_time < self._since and channel not in self._latched:
                     return
@@ -158,7 +185,7 @@ class _Copy:
 
     def _add_channel(self, channel: Channel) -> None:
         """Announce a channel; channels of one topic in several files become one."""
-        schema = self._schemas[channel.schema_id]
+        schema = self._schemas.get(channel.schema_id) or self._index.schemas[channel.schema_id]
         key = channel.topic, schema.name
         if key not in self._numbers:
             offers = _offers(channel.metadata.get("offered_qos_profiles", ""))

@@ -3,13 +3,15 @@
 
 import os
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from mcap.reader import make_reader
+from mcap.records import Chunk, Message
+from mcap.stream_reader import StreamReader, breakup_chunk
 from mcap.writer import Writer
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rosbags.highlevel import AnyReader
@@ -113,6 +115,32 @@ def test_damaged_chunk_is_left_out_and_the_rest_is_kept(tmp_path):
     got = {m.data for m in read_messages(recovery.target)}
     assert got < set(sent) and sent[100] not in got
     assert len(got) > COUNT - 60 and recovery.left > 500
+
+
+@settings(max_examples=40)
+@given(part=st.floats(0.0, 1.0), bit=st.integers(0, 7))
+def test_one_damaged_byte_costs_at_most_one_chunk(whole, tmp_path_factory, part, bit):
+    folder = tmp_path_factory.mktemp("damaged") / "run"
+    shutil.copytree(whole, folder)
+    file = folder / "run_0.mcap"
+    at = 8 + round(part * (file.stat().st_size - 9))  # after the magic number
+
+    def flip(data: bytearray) -> None:
+        data[at] ^= 1 << bit
+
+    sizes = [len(chunk) for chunk in chunks_of(file)]
+    damage(file, flip)
+    got = [m.data for m in read_messages(recover(folder).target)]
+    assert set(got) <= {m.data for m in read_messages(whole)}
+    assert COUNT - max(sizes) <= len(got) <= COUNT
+
+
+def chunks_of(file: Path) -> Iterator[list[Message]]:
+    """Yield the messages of each chunk."""
+    with file.open("rb") as stream:
+        for record in StreamReader(stream, emit_chunks=True).records:
+            if isinstance(record, Chunk):
+                yield [each for each in breakup_chunk(record) if isinstance(each, Message)]
 
 
 def test_a_chunk_that_announces_too_much_is_left_out(tmp_path):
