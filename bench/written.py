@@ -46,7 +46,8 @@ def written_calls(scenario: Scenario, ticks: int) -> float:
         began = time.perf_counter()
         for row in range(ticks):
             loop.tick(record, row)
-            for topic, kind, data in messages.of(row, loop.regulator.carried):
+            carried = messages.carried(row, loop.regulator.carried)
+            for topic, kind, data in (*messages.of(row), *carried):
                 if topic not in channels:
                     channels[topic] = writer.add_channel(topic, kind)
                 now = time.time_ns()
@@ -90,11 +91,15 @@ class TickMessages:
         self._loads = [(names.load(name), _wrench_codec(name)) for name in fingers]
         self._margin = JointCodec(fingers, ("position", "effort"))
 
-    def of(self, row: int, carried: CarriedLoad) -> Iterator[Message]:
-        """Yield the messages of a tick, with the load of the regulator, which no record has."""
+    def of(self, row: int) -> Iterator[Message]:
+        """Yield the messages of a tick that a record has."""
         stamp, is_posed = int(self._record.stamps[row]), self._record.auxiliary_position[row, 0]
         for topic, kind, encode in self._parts + [self._auxiliary] * bool(np.isfinite(is_posed)):
             yield topic, kind, encode(stamp, row)
+
+    def carried(self, row: int, carried: CarriedLoad) -> Iterator[Message]:
+        """Yield the messages of a tick that only the regulator has."""
+        stamp = int(self._record.stamps[row])
         for (topic, codec), load in zip(self._loads, carried.load.tolist(), strict=True):
             yield topic, _WRENCH, codec.encode(load, stamp)
         margin = self._margin.encode(stamp, carried.friction, carried.reserve)

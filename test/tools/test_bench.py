@@ -63,7 +63,8 @@ def test_the_loop_writes_each_message_of_a_tick():
     loop = ClosedLoop(load_scenario("paper"))
     record = Record.empty(1, loop.plant.hand.finger_names, loop.plant.hand.joint_names)
     loop.tick(record, 0)
-    written = TickMessages(record).of(0, loop.regulator.carried)
+    messages = TickMessages(record)
+    written = (*messages.of(0), *messages.carried(0, loop.regulator.carried))
     assert {topic for topic, *_ in written} == {link.topic for link in each_tick()}
 
 
