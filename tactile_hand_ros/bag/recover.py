@@ -131,9 +131,10 @@ class _Copy:
             if not _MAGIC.startswith(stream.read(len(_MAGIC))):
                 raise BagError(f"The file {file} is not an MCAP file; only those can be recovered.")
             begin, self._index = stream.tell(), _index(stream)
-            chunks = sorted(chunk.chunk_start_offset for chunk in self._index.chunk_indexes)
+            size, found = file.stat().st_size, self._index.chunk_indexes
+            chunks = sorted(at.chunk_start_offset for at in found if at.chunk_start_offset < size)
             while (damage := self._add_from(stream, begin, chunks)) is not None:
-                begin = next((at for at in chunks if at > damage), file.stat().st_size)
+                begin = next((at for at in chunks if at > damage), size)
                 self.left += begin - damage
 
     def _add_from(self, stream: BinaryIO, begin: int, chunks: list[int]) -> int | None:
