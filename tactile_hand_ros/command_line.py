@@ -44,8 +44,9 @@ def run_command(program: str, command: Callable[[], Any]) -> int:
             code = command()
             sys.stdout.flush()
     except (BrokenPipeError, SystemExit) as end:
-        # The reader of our output is gone, of which Typer and Rich make an exit code.
-        if not isinstance(end, BrokenPipeError) and not isinstance(end.__context__, OSError):
+        # If the reader of our output is gone, Typer and Rich raise SystemExit.
+        cause = end.__context__ if isinstance(end, SystemExit) else end
+        if not isinstance(cause, BrokenPipeError):
             raise
         _drop_unwritten()
         return 0

@@ -59,8 +59,8 @@ def recover(bag: Path | str, out: Path | str | None = None, last: float = 0.0) -
             keeps all.
 
     Raises:
-        BagError: If there is no MCAP bag or no message in it, the output exists, or the disk
-            rejects the data.
+        BagError: If no MCAP bag is found, no message can be recovered, the output exists, or
+            writing fails.
     """
     source = find_bag(Path(bag))
     files = _files_of(source)

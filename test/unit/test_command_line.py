@@ -106,14 +106,17 @@ class Full(io.StringIO):
             raise self._error
 
 
-def test_a_reader_that_is_gone_is_no_failure(capsys):
-    def printing() -> None:
+def test_a_reader_that_is_gone_is_no_failure_but_any_other_exit_is(capsys):
+    def exiting(cause: OSError) -> None:
         try:
-            raise BrokenPipeError
+            raise cause
         except OSError:
             sys.exit(1)  # as Typer and Rich do
 
-    assert run_command("program", printing) == 0 and capsys.readouterr().err == ""
+    assert run_command("program", lambda: exiting(BrokenPipeError())) == 0
+    assert capsys.readouterr().err == ""
+    with pytest.raises(SystemExit):
+        run_command("program", lambda: exiting(FileNotFoundError()))
     with pytest.raises(SystemExit):
         run_command("program", lambda: sys.exit(3))
 
