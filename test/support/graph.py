@@ -167,7 +167,9 @@ class Graph:
         self.wait(self._has_readers, "all readers")
 
     def _has_readers(self) -> bool:
-        wanted = Counter(topic for name in self.health for topic in self._ends(name, SUBSCRIPTIONS))
+        wanted = Counter(
+            topic for name in list(self.health) for topic in self._ends(name, SUBSCRIPTIONS)
+        )
         wanted.update(each.topic_name for each in self.node.subscriptions)
         found = self.published()
         return bool(found) and all(count == wanted[topic] for topic, count in found.items())
