@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The recorder as a process of its own, over real DDS: nothing is missing from the bag."""
 
+import contextlib
 import signal
 import time
 from collections.abc import Callable, Iterator
@@ -24,6 +25,7 @@ from std_msgs.msg import Float64
 from bench.processes import CapturedProcess, start_executable
 from tactile_hand_ros.bag.reader import read_messages, summarize
 from tactile_hand_ros.bag.recover import recover
+from tactile_hand_ros.errors import BagError
 from tactile_hand_ros.ros.processes import wait_until
 
 DEEP = QoSProfile(depth=1000)
@@ -136,7 +138,7 @@ def test_killed_at_any_moment_it_loses_the_last_moment_at_most(start, node, tmp_
         assert recorder.wait() == -signal.SIGKILL
         psutil.wait_procs(writers, 30.0)
         saved = sum(at < killed - BOUND for at in sent)
-        if saved or any(bags[life].glob("*.mcap")):
+        with contextlib.nullcontext() if saved else contextlib.suppress(BagError):
             recovered = read_messages(recover(bags[life]).target, ["/number"])
             numbers = [message.message.data for message in recovered]
             assert numbers == [float(i) for i in range(len(numbers))] and len(numbers) >= saved
