@@ -355,9 +355,18 @@ class Controller:
         return self._regrasp.active
 
     def grasp(self) -> None:
-        """Close the fingers until all touch, and start a new grasp."""
+        """Close open fingers until all touch, and start a new grasp.
+
+        Raises:
+            GraspError: If there was no grasp yet.
+        """
         if self._regrasp.active:
             self._regrasp.close()
+        elif self._grasp is None:
+            raise GraspError(
+                "no grasp was made yet, so the way to close is unknown; bring all fingers to the "
+                "object, and it is held"
+            )
 
     def step(
         self,

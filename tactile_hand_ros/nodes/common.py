@@ -31,18 +31,19 @@ class ModeLog:
         self._second, self._lines = -1, 0
 
     def note(self, mode: str, reason: str = "") -> None:
-        """Log the mode and its reason if it has changed; the first mode is not logged."""
+        """Log the mode and its reason if it has changed; of the first mode, only with a reason."""
         if mode == self._mode:
             return
         before, self._mode = self._mode, mode
-        if not before:
+        if not (before or reason):
             return
         second = int(self._clock())
         if second != self._second:
             self._second, self._lines = second, 0
         self._lines += 1
         if self._lines <= _MAXIMUM:
-            self._log(f"{before} -> {mode}" + (f": {reason}" if reason else ""))
+            change = f"{before} -> {mode}" if before else mode
+            self._log(f"{change}: {reason}" if reason else change)
 
 
 def rotated_pose_encoder() -> Callable[[Array, Array, int], bytes]:

@@ -291,7 +291,7 @@ class ManipulationControllerNode(TactileNode[ControllerConfig]):
             response.success, response.message = False, str(error)
             return response
         self._changes.request("grasp", request.data)
-        closing = "closing" if self._controller.is_open else "the hand is not open"
+        closing = "closing" if self._controller.is_open else "the hand holds already"
         response.success, response.message = True, closing if request.data else "opening"
         return response
 

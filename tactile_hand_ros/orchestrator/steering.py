@@ -278,7 +278,11 @@ class HandClient:
                 due = time.monotonic() + _AGAIN
             return bool(taken or refused)
 
-        self._wait(answered, f"the hand has not answered within {self._timeout:g} s; is it paused?")
+        self._wait(
+            answered,
+            f"the hand has not answered within {self._timeout:g} s; if it is paused or stopped, it "
+            "may still carry out the command when it continues",
+        )
         if not taken:
             raise SteeringError(f"the hand rejects the command: {_reason(refused, topic)}")
         return taken[0]

@@ -471,8 +471,10 @@ def test_services_change_the_controller_and_report_the_result(here):
     assert ask("enable", False) == (True, "damping only")
     assert tick(node, 0).mode.value == "disabled"
     assert ask("enable", True) == (True, "enabled")
-    assert ask("grasp", True) == (True, "the hand is not open")
+    refused, reason = ask("grasp", True)
+    assert not refused and "no grasp was made yet" in reason
     tick(node, TICK)
+    assert ask("grasp", True) == (True, "the hand holds already")
     assert ask("grasp", False) == (True, "opening")
     assert tick(node, 2 * TICK).mode.value == "open"
     assert ask("grasp", True) == (True, "closing")

@@ -11,6 +11,8 @@ def test_each_change_is_one_line_with_its_reason_and_of_a_flood_five_a_second():
     for mode, reason in (("drive", ""), ("drive", ""), ("hold", "no contact"), ("drive", "")):
         log.note(mode, reason)
     assert lines == ["drive -> hold: no contact", "hold -> drive"]
+    ModeLog(lines.append).note("hold", "no touch yet")
+    assert lines.pop() == "hold: no touch yet"
     for now[0], expected in ((7.999, 3), (8.0, 5), (8.999, 0), (9.0, 5)):
         lines.clear()
         for change in range(100):
