@@ -27,7 +27,7 @@ from tactile_hand_ros.cdr import CdrTemplate, Content, ContentReader, to_nanosec
 from tactile_hand_ros.compiled import Array
 from tactile_hand_ros.config.explanation import did_you_mean
 from tactile_hand_ros.control.contact import Contacts
-from tactile_hand_ros.errors import MessageError, UnsafeOutputError
+from tactile_hand_ros.errors import MessageError, UnsafeOutputError, nearest
 from tactile_hand_ros.names import PALM_FRAME, contact_frame
 
 if TYPE_CHECKING:
@@ -215,7 +215,8 @@ class WrenchCodec:
         if not x * x + y * y + z * z <= _LARGEST_SQUARE:
             if self._nan_allowed and any(map(math.isnan, (x, y, z))):
                 return content.stamp, (math.nan,) * 3
-            known = (0.0, y, 0.0) if self._is_normal(x, z) else (x, y, z)
+            is_known = self._is_normal(x, z) and not math.isnan(y)
+            known = (0.0, y, 0.0) if is_known else (x, y, z)
             _checked_vector(known, "force")
         return content.stamp, (x, y, z)
 
@@ -437,15 +438,16 @@ class JointCodec:
 
     def _places_in(self, given: Sequence[str]) -> NDArray[np.intp]:
         """Return the index of each joint of the hand among the sender's names."""
-        unknown = next((_shown(name) for name in given if name not in self._names), None)
-        if unknown is not None and not self._others:
-            raise MessageError(f"unknown joint '{unknown}'{did_you_mean(unknown, self._names)}")
+        others = [_shown(name) for name in given if name not in self._names]
+        if others and not self._others:
+            raise MessageError(f"unknown joint '{others[0]}'{did_you_mean(others[0], self._names)}")
         for name in self._names:
             count = given.count(name)
             if count != 1:
                 problem = f"appears {count} times" if count else "is missing"
                 raise MessageError(
-                    f"joint '{name}' {problem}, expected each of {len(self._names)} once."
+                    f"joint '{name}' {problem}, expected each of {len(self._names)} once"
+                    f"{nearest(name, others)}"
                 )
         return np.array([given.index(name) for name in self._names])
 

@@ -86,8 +86,9 @@ def test_a_normal_force_may_come_alone_but_only_from_a_skin():
     for wrong in ((nan, 3.0, 1.0), (nan, nan, nan), (nan, BEYOND, nan), (1.0, nan, 1.0)):
         with pytest.raises(UnsafeOutputError):
             skin.encode(wrong, 7)
-        with pytest.raises(MessageError, match="expected three finite numbers"):
+        with pytest.raises(MessageError, match="expected three finite numbers") as refused:
             skin.decode(serialize_message(force_message(wrong, 7, "tip")))
+        assert BEYOND in wrong or f"force is {wrong}" in str(refused.value)
 
 
 @given(stamps, st.integers(1, 6), st.data())
@@ -373,6 +374,9 @@ def test_joint_states_of_an_arm_and_a_hand_are_read_by_the_names_of_the_hand():
     message.name[0] = "a"
     with pytest.raises(MessageError, match="joint 'a' appears 2 times"):
         codec.decode(serialize_message(message))
+    message.name[0], message.name[1] = "arm_1", "finger_a1"
+    with pytest.raises(MessageError, match="'finger_a_1' is missing.* did you mean 'finger_a1'"):
+        JointCodec(["b", "finger_a_1"], others=True).decode(serialize_message(message))
 
 
 def test_rumble_is_cut_to_its_range():
