@@ -53,8 +53,7 @@ class StampMatcher:
             All values of the tick in the order of the keys if it is now complete, else None.
         """
         last = self.last
-        is_old = last is not None and 0 < stamp_ns <= last and last - stamp_ns <= _SECOND
-        if is_old or stamp_ns == last:
+        if stamp_ns == last or self.is_late(stamp_ns):
             return None
         values = self.pending.setdefault(stamp_ns, {})
         values[key] = value
@@ -68,6 +67,11 @@ class StampMatcher:
         if len(self.pending) > self._memory:
             del self.pending[next(iter(self.pending))]  # the first to arrive
         return None
+
+    def is_late(self, stamp_ns: int) -> bool:
+        """Return whether a tick [ns] is before the last complete one without being a restart."""
+        last = self.last
+        return last is not None and 0 < stamp_ns < last <= stamp_ns + _SECOND
 
     def rarest(self) -> list[str]:
         """Return the keys that fewest pending timestamps have, or one more than that.
@@ -242,7 +246,12 @@ class TickInputs:
             self._node.diagnostics.judge("senders", contested, two_senders(self._trigger))
         if contested or self._is_unconfirmed(stamp):
             return
-        if stamp == self._matcher.last:  # already answered; the answer may be lost
+        if self._matcher.is_late(stamp):
+            late = 1e-9 * (self._matcher.last or 0) - 1e-9 * stamp
+            self._node.reject(
+                self._trigger, f"its timestamp is {late:.3g} s before the last tick; it is ignored"
+            )
+        elif stamp == self._matcher.last:  # already answered; the answer may be lost
             if not self._waiting:  # else a newer answer follows
                 self._listener.on_repeat()
         elif not self._match(self._trigger, stamp, value) and stamp in self._matcher.pending:

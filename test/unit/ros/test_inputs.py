@@ -370,6 +370,17 @@ def test_the_second_sender_is_forgotten_when_it_has_gone():
     assert ear.kinds()[-1] == ("tick", 3)
 
 
+def test_ticks_before_the_last_are_reported_until_the_stamps_have_caught_up(ear):
+    """The clock of a driver may be set back; more than a second is a restart."""
+    for stamp in (2000, 1950, 1998, 2002, 900):
+        ear.joints(stamp)
+        ear.others(stamp)
+    kinds = [kind for kind, *_ in ear.heard]
+    assert kinds == ["tick", "tick", "restart", "tick"]
+    texts = [text for topic, text in ear.rejected if topic == names.JOINT_STATES]
+    assert len(texts) == 2 and "timestamp is 0.05 s before the last tick" in texts[0]
+
+
 @pytest.mark.parametrize("ahead", [101, 900, 1_001, 10**6])
 def test_one_stamp_far_ahead_does_not_silence_the_others(ahead):
     ear = Ear()
