@@ -37,7 +37,7 @@ export function showLive(content, theme, root) {
   page.lease = el("button", { type: "button", class: "chip lease", onclick: () => page.act({ do: "drive" }) });
   const dark = el("button", { class: "quiet", type: "button", title: "light or dark (d)", "aria-label": "light or dark", onclick: () => theme.toggle() }, icon("moon"));
   const title = el("div", { class: "title-line" }, el("h1", {}, content.live.replaceAll("_", " ")), page.state, el("p", {}), page.lease, dark);
-  page.body = el("div", { class: "live" }, el("p", { class: "panel hint" }, "Waiting for a hand. Start one with tactile-hand run --interactive."));
+  page.body = el("div", { class: "live" }, el("p", { class: "panel hint" }, "Waiting for joint_states and robot_description of a hand. A simulated one starts with tactile-hand run --interactive."));
   root.append(el("header", { class: "head" }, title), page.body, toast);
   page.build = () => build(page, content);
   return page;
