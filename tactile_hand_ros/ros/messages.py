@@ -101,18 +101,10 @@ def read_number(data: bytes) -> float:
     """
     if len(data) < _NUMBER_SIZE or data[0] or data[1] > 1:
         raise MessageError(f"{len(data)} bytes that are not a std_msgs/msg/Float64.")
-    return checked_number(*struct.unpack_from("<d" if data[1] else ">d", data, 4))
-
-
-def checked_number(number: float) -> float:
-    """Return the number if it is valid.
-
-    Raises:
-        MessageError: For NaN, infinity or a number beyond `LARGEST_NUMBER`.
-    """
+    number: float = struct.unpack_from("<d" if data[1] else ">d", data, 4)[0]
     if not _is_usable(number):
         raise MessageError(f"data is {number}, expected a finite number up to {LARGEST_NUMBER:g}.")
-    return float(number)
+    return number
 
 
 def _is_usable(*numbers: float) -> bool:
