@@ -15,7 +15,7 @@ Source: OMG DDS-XTypes 1.3, 7.4 (plain CDR version 1).
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -196,39 +196,30 @@ class _Cursor:
         if self._at > len(self._data):
             raise ValueError(f"{len(self._data)} bytes, but at least {self._at} announced")
 
-    def joint_state(self) -> None:
+    def message(self, type_name: str) -> None:
         self.header()
-        for _ in range(self.length()):
-            self.text()
-        for name in ("position", "velocity", "effort"):
-            self.doubles(name, self.length())
-
-    def pose_array(self) -> None:
-        self.header()
-        self.doubles("poses", 7 * self.length())
-
-    def pose(self) -> None:
-        self.header()
-        self.doubles("pose", 7)
-
-    def imu(self) -> None:
-        self.header()
-        self.doubles("orientation", 4)
-        self.doubles("rates, accelerations and covariances", 33)
-
-    def wrench(self) -> None:
-        self.header()
-        self.doubles("wrench", 6)
+        if type_name == "sensor_msgs/msg/JointState":
+            for _ in range(self.length()):
+                self.text()
+        for name, (count, is_repeated) in GROUPS[type_name].items():
+            self.doubles(name, count * self.length() if is_repeated else count)
 
 
-PARSERS: dict[str, Callable[[_Cursor], None]] = {
-    "sensor_msgs/msg/Imu": _Cursor.imu,
-    "sensor_msgs/msg/JointState": _Cursor.joint_state,
-    "geometry_msgs/msg/PoseArray": _Cursor.pose_array,
-    "geometry_msgs/msg/PoseStamped": _Cursor.pose,
-    "geometry_msgs/msg/WrenchStamped": _Cursor.wrench,
+GROUPS: dict[str, dict[str, tuple[int, bool]]] = {
+    "sensor_msgs/msg/Imu": {
+        "orientation": (4, False),
+        "rates, accelerations and covariances": (33, False),
+    },
+    "sensor_msgs/msg/JointState": {
+        "position": (1, True),
+        "velocity": (1, True),
+        "effort": (1, True),
+    },
+    "geometry_msgs/msg/PoseArray": {"poses": (7, True)},
+    "geometry_msgs/msg/PoseStamped": {"pose": (7, False)},
+    "geometry_msgs/msg/WrenchStamped": {"wrench": (6, False)},
 }
-"""Parsers of the supported types, by name."""
+"""Groups of doubles of each supported type, in order: their count, and whether it is repeated."""
 
 
 def _layout(type_name: str, data: bytes) -> Layout:
@@ -240,7 +231,7 @@ def _layout(type_name: str, data: bytes) -> Layout:
     if len(data) < _ORIGIN or data[0] or data[1] > 1:
         raise ValueError(f"encoding {data[:2].hex() or 'missing'}, expected plain CDR")
     cursor = _Cursor(data)
-    PARSERS[type_name](cursor)
+    cursor.message(type_name)
     return cursor.layout
 
 
@@ -273,7 +264,7 @@ class ContentReader:
     """
 
     def __init__(self, type_name: str) -> None:
-        """Create a reader for one of the types in `PARSERS`."""
+        """Create a reader for one of the types in `GROUPS`."""
         self._type = type_name
         self._layout = Layout(little=True)
         self._fixed: list[tuple[slice, bytes]] = []

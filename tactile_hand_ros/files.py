@@ -15,17 +15,8 @@ def replace_text(path: Path, text: str) -> None:
     Raises:
         OSError: If it cannot be written.
     """
-    replace_bytes(path, text.encode())
-
-
-def replace_bytes(path: Path, data: bytes) -> None:
-    """Replace a file atomically.
-
-    Raises:
-        OSError: If it cannot be written.
-    """
     with draft_of(path) as draft, draft.open("xb") as file:
-        file.write(data)
+        file.write(text.encode())
         file.flush()
         os.fsync(file.fileno())  # otherwise a system crash could leave an empty file
 

@@ -213,7 +213,7 @@ class RunningHand:
         for event in reversed(events):
             if event.topic == names.TRUE_CONTACTS:
                 contacts = ContactsCodec(len(self.fingers)).decode(event.data)[1]
-                return bool(np.isfinite(contacts.positions).all())
+                return bool(np.isfinite(contacts.position).all())
         return False
 
     def grasp_force(self, events: list[Received]) -> float:

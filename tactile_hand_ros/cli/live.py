@@ -12,8 +12,7 @@ from typing import Annotated
 import typer
 
 from tactile_hand_ros.command_line import Signals, open_in_browser
-from tactile_hand_ros.command_options import with_options
-from tactile_hand_ros.orchestrator.options import RunOptions
+from tactile_hand_ros.orchestrator.options import RunOptions, with_options
 
 _SCENARIO = "gravity"
 

@@ -29,23 +29,42 @@ _HOLD = 50_000_000  # ns that a value stands for a tick without one; then it is 
 _ALIVE = 0.4  # s, twelve batches, without a message after which no row waits for a topic any more
 
 
-class Source:
-    """A tick topic: its type, and which groups of numbers are read, with their widths."""
+class Track:
+    """The newest values of a tick topic.
+
+    Attributes:
+        stamps: Timestamps in ascending order, ns, shape (n,).
+        values: Numbers of each message, shape (n, width).
+        new: Number of messages in the last batch.
+        received: When the last message came, s of the steady clock.
+    """
 
     def __init__(self, kind: str, groups: Mapping[str, int]) -> None:
-        """Start without a layout; the first message gives it."""
-        self._kind, self._groups = kind, groups
-        self.width = sum(groups.values())
+        """Start empty, for a type and the groups of numbers to read, with their widths."""
+        self._kind, self._groups, self._width = kind, groups, sum(groups.values())
         self._layout: Layout | None = None
         self._size = 0
         self._fixed, self._same = np.empty(0, np.int64), np.empty(0, np.uint8)
+        self.stamps, self.values = np.empty(0, np.int64), np.empty((0, self._width))
+        self.new, self.received = 0, -np.inf
 
-    def read(self, messages: Sequence[bytes]) -> tuple[Stamps, Array]:
-        """Return stamps, ns, shape (n,), and numbers, shape (n, width), oldest first.
+    def take(self, messages: Sequence[bytes]) -> bool:
+        """Append a batch; return whether time has been set back, which forgets what was before.
 
         Raises:
             MessageError: If a message is of another type or lacks a number.
         """
+        stamps, values = self._read(messages)
+        joined = np.concatenate([self.stamps, stamps])
+        back = np.flatnonzero(np.diff(joined) < 0)
+        start = int(back[-1]) + 1 if len(back) else 0
+        self.stamps = joined[start:]
+        self.values = np.vstack([self.values, values])[start:]
+        self.new, self.received = min(len(stamps), len(self.stamps)), time.monotonic()
+        return bool(len(back))
+
+    def _read(self, messages: Sequence[bytes]) -> tuple[Stamps, Array]:
+        """Return stamps, ns, shape (n,), and numbers, shape (n, width), oldest first."""
         try:
             found = self._tables(messages)
             rows = [
@@ -54,8 +73,8 @@ class Source:
             ]
         except (BagError, KeyError, ValueError) as error:
             raise MessageError(f"a message is not a {self._kind}: {error}") from None
-        if wrong := [each.shape[1] for each in rows if each.shape[1] != self.width]:
-            raise MessageError(f"a message has {wrong[0]} numbers, expected {self.width}")
+        if wrong := [each.shape[1] for each in rows if each.shape[1] != self._width]:
+            raise MessageError(f"a message has {wrong[0]} numbers, expected {self._width}")
         order = np.argsort(np.concatenate([table.rows for table in found]))
         return np.concatenate([t.stamps for t in found])[order], np.vstack(rows)[order]
 
@@ -72,53 +91,6 @@ class Source:
         self._same = found[-1].matrix[0, self._fixed]
         return found
 
-
-def sources(fingers: Sequence[str], joints: int) -> dict[str, Source]:
-    """Return the tick topics of a hand with `joints` joints, by name."""
-    k, joint, pose = len(fingers), "sensor_msgs/msg/JointState", "geometry_msgs/msg/PoseStamped"
-    found = {
-        names.JOINT_STATES: Source(
-            joint, {"position": joints, "velocity": joints, "effort": joints}
-        ),
-        names.CONTACTS: Source("geometry_msgs/msg/PoseArray", {"poses": 7 * k}),
-        names.GRIP_STATE: Source(joint, {"position": k, "effort": k}),
-        names.TRUE_SLIP: Source(joint, {"velocity": k}),
-        names.AUXILIARY_POSE: Source(pose, {"pose": 7}),
-        names.OBJECT_POSE: Source(pose, {"pose": 7}),
-        names.IMU: Source("sensor_msgs/msg/Imu", {"orientation": 4}),
-    }
-    each = [topic(name) for name in fingers for topic in (names.wrench, names.optimal_force)]
-    wrenches = [names.GRASP_FORCE, *each]
-    return found | {
-        topic: Source("geometry_msgs/msg/WrenchStamped", {"wrench": 3}) for topic in wrenches
-    }
-
-
-class Track:
-    """The newest values of a topic.
-
-    Attributes:
-        stamps: Timestamps in ascending order, ns, shape (n,).
-        values: Numbers of each message, shape (n, width).
-        new: Number of messages in the last batch.
-        received: When the last message came, s of the steady clock.
-    """
-
-    def __init__(self, width: int) -> None:
-        """Start without values."""
-        self.stamps, self.values = np.empty(0, np.int64), np.empty((0, width))
-        self.new, self.received = 0, -np.inf
-
-    def add(self, stamps: Stamps, values: Array) -> bool:
-        """Append a batch; return whether time has been set back, which forgets what was before."""
-        joined = np.concatenate([self.stamps, stamps])
-        back = np.flatnonzero(np.diff(joined) < 0)
-        start = int(back[-1]) + 1 if len(back) else 0
-        self.stamps = joined[start:]
-        self.values = np.vstack([self.values, values])[start:]
-        self.new, self.received = min(len(stamps), len(self.stamps)), time.monotonic()
-        return bool(len(back))
-
     def forget(self, stamp: int) -> None:
         """Forget what came before a stamp, ns, and what was new."""
         start = int(self.stamps.searchsorted(stamp))
@@ -131,6 +103,27 @@ class Track:
             return np.full((len(stamps), self.values.shape[1]), np.nan)
         known = (rows >= 0) & (stamps - self.stamps[rows.clip(0)] <= _HOLD)
         return np.where(known[:, None], self.values[rows.clip(0)], np.nan)
+
+
+def tracks_of(fingers: Sequence[str], joints: int) -> dict[str, Track]:
+    """Return empty tracks of the tick topics of a hand with `joints` joints, by name."""
+    k, joint, pose = len(fingers), "sensor_msgs/msg/JointState", "geometry_msgs/msg/PoseStamped"
+    found = {
+        names.JOINT_STATES: Track(
+            joint, {"position": joints, "velocity": joints, "effort": joints}
+        ),
+        names.CONTACTS: Track("geometry_msgs/msg/PoseArray", {"poses": 7 * k}),
+        names.GRIP_STATE: Track(joint, {"position": k, "effort": k}),
+        names.TRUE_SLIP: Track(joint, {"velocity": k}),
+        names.AUXILIARY_POSE: Track(pose, {"pose": 7}),
+        names.OBJECT_POSE: Track(pose, {"pose": 7}),
+        names.IMU: Track("sensor_msgs/msg/Imu", {"orientation": 4}),
+    }
+    each = [topic(name) for name in fingers for topic in (names.wrench, names.optimal_force)]
+    wrenches = [names.GRASP_FORCE, *each]
+    return found | {
+        topic: Track("geometry_msgs/msg/WrenchStamped", {"wrench": 3}) for topic in wrenches
+    }
 
 
 class Picture:
@@ -149,7 +142,6 @@ class Picture:
         """Start empty."""
         self.fingers, self.joint_names = tuple(fingers), tuple(joint_names)
         k, m = len(fingers), len(joint_names)
-        self._sources = sources(fingers, m)
         self.columns = {
             **{"theta": m, "rates": m, "contact_positions": 3 * k, "contact_quaternions": 4 * k},
             **{"auxiliary_position": 3, "auxiliary_quaternion": 4},
@@ -167,21 +159,21 @@ class Picture:
     def _forget(self) -> None:
         self.total, self.desired, self.push = 0, np.full(7, np.nan), np.zeros(6)
         self.push_end, self.shown = 0, -1
-        self.tracks = {topic: Track(source.width) for topic, source in self._sources.items()}
+        self.tracks = tracks_of(self.fingers, len(self.joint_names))
 
     def take(self, batch: Mapping[str, Sequence[bytes]]) -> Iterator[MessageError]:
         """Read the messages of a batch by topic, and yield an error for a bad topic."""
         for track in self.tracks.values():
             track.forget(self.shown - _HOLD)
         for topic, messages in batch.items():
-            if not messages or topic not in self._sources:
+            if not messages or topic not in self.tracks:
                 continue
             try:
-                stamps, values = self._sources[topic].read(messages)
+                is_set_back = self.tracks[topic].take(messages)
             except MessageError as error:
                 yield MessageError(f"{topic}: {error}")
                 continue
-            if self.tracks[topic].add(stamps, values) and topic == names.JOINT_STATES:
+            if is_set_back and topic == names.JOINT_STATES:
                 track = self.tracks[topic]
                 with self._lock:
                     self.epoch += 1

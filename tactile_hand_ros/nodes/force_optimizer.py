@@ -52,7 +52,6 @@ class OptimizerReport:
         """Report with the diagnostics of a node."""
         self._diagnostics = diagnostics
         self._optimal: OptimalForces | None = None
-        self._reason = ""
         self._unanswered = 0
         self._outside, self._worst = Mostly(), 0.0
 
@@ -63,13 +62,7 @@ class OptimizerReport:
         self._outside.note(margin < _OUTSIDE)
         self._worst = min(self._worst, margin)  # min keeps the first if the second is NaN
         self._unanswered += not optimal.ok
-        if optimal.reason == self._reason:
-            return
-        self._reason = optimal.reason
-        if optimal.ok:
-            self._diagnostics.clear("optimization")
-        else:
-            self._diagnostics.fault("optimization", optimal.reason)
+        self._diagnostics.judge("optimization", not optimal.ok, optimal.reason)
 
     def report(self) -> None:
         """Add the last solution to the diagnostics."""

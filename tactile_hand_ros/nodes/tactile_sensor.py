@@ -20,7 +20,7 @@ from tactile_hand_ros.config.hand_config import load_hand_config
 from tactile_hand_ros.control.contact import example_touch
 from tactile_hand_ros.nodes.common import ReadingPublisher
 from tactile_hand_ros.ros import streams
-from tactile_hand_ros.ros.messages import ContactPoses, Joints
+from tactile_hand_ros.ros.messages import Joints, Pose
 from tactile_hand_ros.ros.node import TactileNode
 from tactile_hand_ros.ros.runner import run_node
 from tactile_hand_ros.ros.ticks import TickInputs
@@ -99,7 +99,7 @@ class TactileSensorNode(TactileNode[TactileSensorConfig]):
     def on_tick(
         self,
         stamp: int,
-        contacts: ContactPoses,
+        contacts: Pose,
         sliding: list[Array],
         forces: Array,
         joints: Joints | None = None,

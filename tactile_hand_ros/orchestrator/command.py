@@ -11,9 +11,8 @@ from contextlib import AbstractContextManager
 import typer
 
 from tactile_hand_ros.command_line import Interrupted, Signals, prepare_for_ros, run_command, say
-from tactile_hand_ros.command_options import with_options
 from tactile_hand_ros.errors import ConfigurationError
-from tactile_hand_ros.orchestrator.options import RunOptions
+from tactile_hand_ros.orchestrator.options import RunOptions, with_options
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None)
 

@@ -1,15 +1,20 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The options of `tactile-hand run` and of the orchestrator, declared once."""
+"""The options of `tactile-hand run` and of the orchestrator, declared once as a dataclass."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+import functools
+import inspect
+from collections.abc import Callable
+from dataclasses import dataclass, field, fields, is_dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any, TypeVar, get_type_hints
 
 import typer
 
 from tactile_hand_ros.errors import ConfigurationError
+
+Result = TypeVar("Result")
 
 
 def _scenarios(incomplete: str) -> list[str]:
@@ -82,3 +87,35 @@ class RunOptions:
         if given == [""]:
             raise ConfigurationError("the scenario is '', expected its name or a YAML file")
         return given[0] if given else "paper"
+
+
+def with_options(command: Callable[..., Result]) -> Callable[..., Result]:
+    """Show Typer the fields of a dataclass such as `RunOptions` as the options of a command.
+
+    Each field is annotated like a parameter of a Typer command, and has a default. Other parameters
+    of the command stay unchanged.
+    """
+    signature = inspect.signature(command, eval_str=True)
+    parameters: list[inspect.Parameter] = []
+    kind = inspect.Parameter.KEYWORD_ONLY
+    for parameter in signature.parameters.values():
+        if not is_dataclass(parameter.annotation):
+            parameters.append(parameter.replace(kind=kind))
+            continue
+        name = parameter.name
+        options: Any = parameter.annotation
+        hints, defaults = get_type_hints(options, include_extras=True), options()
+        for each in fields(options):
+            default = getattr(defaults, each.name)
+            parameters.append(
+                inspect.Parameter(each.name, kind, default=default, annotation=hints[each.name])
+            )
+
+    @functools.wraps(command)
+    def run(**given: Any) -> Result:
+        own = {each.name: given.pop(each.name) for each in fields(options)}
+        return command(**given, **{name: options(**own)})
+
+    run.__signature__ = signature.replace(parameters=parameters)  # type: ignore[attr-defined]
+    run.__annotations__ = {each.name: each.annotation for each in parameters}
+    return run

@@ -28,8 +28,7 @@ from tactile_hand_ros.names import (
     USER_COMMANDS,
 )
 from tactile_hand_ros.nodes.recorder.config import RecorderConfig
-from tactile_hand_ros.orchestrator.graph import missing_endpoints
-from tactile_hand_ros.orchestrator.monitor import Monitor, View
+from tactile_hand_ros.orchestrator.monitor import Monitor, View, missing_endpoints
 from tactile_hand_ros.orchestrator.processes import NodeDiedError, Processes
 from tactile_hand_ros.orchestrator.run_directory import RunDirectory
 from tactile_hand_ros.orchestrator.steering import Steering, SteeringError

@@ -45,24 +45,12 @@ _UNIT_TOLERANCE = 1e-3
 _NUMBER_SIZE = 12  # the encapsulation and a double
 
 
-class ContactPoses(NamedTuple):
-    """Contact frames C_i in the palm frame; the rows of fingers without contact are NaN.
-
-    Attributes:
-        positions: Contact points [m]. Shape (k, 3).
-        quaternions: Orientation of C_i, order x, y, z, w. Shape (k, 4).
-    """
-
-    positions: Array
-    quaternions: Array
-
-
 class Pose(NamedTuple):
-    """A pose in the palm frame.
+    """A pose in the palm frame, or the contact frames C_i there, a row per finger.
 
     Attributes:
-        position: Position [m]. Shape (3,).
-        quaternion: Orientation, order x, y, z, w. Shape (4,).
+        position: Position [m]. Shape (3,) or (k, 3).
+        quaternion: Orientation, order x, y, z, w. Shape (4,) or (k, 4).
     """
 
     position: Array
@@ -113,18 +101,10 @@ def read_number(data: bytes) -> float:
     """
     if len(data) < _NUMBER_SIZE or data[0] or data[1] > 1:
         raise MessageError(f"{len(data)} bytes that are not a std_msgs/msg/Float64.")
-    return checked_number(*struct.unpack_from("<d" if data[1] else ">d", data, 4))
-
-
-def checked_number(number: float) -> float:
-    """Return the number if it is valid.
-
-    Raises:
-        MessageError: For NaN, infinity or a number beyond `LARGEST_NUMBER`.
-    """
+    number: float = struct.unpack_from("<d" if data[1] else ">d", data, 4)[0]
     if not _is_usable(number):
         raise MessageError(f"data is {number}, expected a finite number up to {LARGEST_NUMBER:g}.")
-    return float(number)
+    return number
 
 
 def _is_usable(*numbers: float) -> bool:
@@ -301,7 +281,7 @@ class ContactsCodec:
         check_output(self._rows, nan_allowed=True)
         return self._template.stamped(stamp_ns)
 
-    def decode(self, data: bytes) -> tuple[int, ContactPoses]:
+    def decode(self, data: bytes) -> tuple[int, Pose]:
         """Return timestamp [ns] and contacts; a NaN position means no contact and gives NaN rows.
 
         Raises:
@@ -325,7 +305,7 @@ class ContactsCodec:
                     f"{LARGEST_NUMBER:g} or all NaN."
                 )
             _checked_quaternion(quaternion, f"contact {index}")
-        return content.stamp, ContactPoses(rows[:, :3].copy(), rows[:, 3:].copy())
+        return content.stamp, Pose(rows[:, :3].copy(), rows[:, 3:].copy())
 
     def decode_contacts(self, data: bytes) -> tuple[int, Contacts]:
         """Return timestamp [ns] and contacts with rotation matrices; see `decode`."""

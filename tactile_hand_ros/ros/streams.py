@@ -79,7 +79,7 @@ def grip_margin(finger_names: Sequence[str]) -> Stream:
 
 
 def true_contacts(fingers: int) -> Stream:
-    """Declare the contacts of the simulation; values are `ContactPoses` in the palm frame."""
+    """Declare the contacts of the simulation; values are one `Pose` in the palm frame."""
     return Stream(PoseArray, {names.TRUE_CONTACTS: ContactsCodec(fingers).decode})
 
 

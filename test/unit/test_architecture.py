@@ -15,7 +15,7 @@ WRITTEN = [*SOURCES, *SCRIPTS, *TESTS, *TOOLS]
 
 # A layer imports from itself and from the tiers above it in this list: data flows down.
 TIERS = (
-    ("", "names", "errors", "cdr", "extras", "files", "command_line", "command_options", "config"),
+    ("", "names", "errors", "cdr", "extras", "files", "command_line", "config"),
     ("compiled",),
     ("rotations", "cholesky"),
     ("hand",),

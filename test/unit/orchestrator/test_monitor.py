@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A monitor takes the newest messages of a hand on demand, over in-process DDS."""
+"""A monitor takes the newest diagnostics on demand, over DDS; they show what a run waits for."""
 
 import io
 from collections.abc import Iterator
@@ -11,8 +11,15 @@ from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from rich.console import Console
 from sensor_msgs.msg import JointState
+from std_msgs.msg import Empty
 
-from tactile_hand_ros.orchestrator.monitor import Monitor, View, line_console
+from tactile_hand_ros import names
+from tactile_hand_ros.orchestrator.monitor import (
+    Monitor,
+    View,
+    line_console,
+    missing_endpoints,
+)
 from tactile_hand_ros.ros.diagnostics import ERROR, OK, STALE, WARN
 from tactile_hand_ros.ros.messages import stamp_from_ns
 from tactile_hand_ros.ros.processes import wait_until
@@ -21,6 +28,8 @@ SECOND = 10**9
 PLANT, CONTROLLER, REGULATOR = (
     f"/left/{name}" for name in ("plant", "manipulation_controller", "slip_regulator")
 )
+MEMBERS = [names.PLANT, names.SENSOR, names.ORCHESTRATOR]
+Facts = dict[str, dict[str, str]]
 
 
 class Hand:
@@ -135,3 +144,80 @@ def test_quiet_means_quiet(hand):
     where = console()
     View(where, 1.0, quiet=True).show(hand.monitor())
     assert written(where) == ""
+
+
+def all_matched(*, composed: bool = False, recorder: bool = False) -> Facts:
+    """Return the reports of fully matched nodes: two topics, and commands of a user."""
+    inside, taps = int(not composed), int(recorder)
+    contacts, clock, pose = (f"/left/{t}" for t in ("contacts", "clock", names.DESIRED_POSE))
+    facts = {
+        names.PLANT: {
+            f"publications {contacts}": inside + taps,
+            f"publications {clock}": taps,
+            f"subscriptions {pose}": 1,
+            "publications /diagnostics": 0,
+            "mode": "paused",
+        },
+        names.SENSOR: {f"subscriptions {contacts}": 1} if inside else {},
+        names.ORCHESTRATOR: {f"publications {pose}": 1},
+    }
+    if recorder:
+        facts[names.RECORDER] = {f"subscriptions {contacts}": 1, f"subscriptions {clock}": 1}
+    return {
+        f"/left/{name}": {key: str(value) for key, value in values.items()}
+        for name, values in facts.items()
+    }
+
+
+def missing(hand: Hand, facts: Facts, members: list[str] = MEMBERS) -> list[tuple[str, str]]:
+    return list(missing_endpoints(hand.node, members, facts))
+
+
+@pytest.mark.parametrize("composed", [False, True])
+@pytest.mark.parametrize("recorder", [False, True])
+def test_nothing_is_missing_where_all_have_matched(hand, composed, recorder):
+    members = [*MEMBERS, names.RECORDER] if recorder else MEMBERS
+    facts = all_matched(composed=composed, recorder=recorder)
+    assert missing(hand, facts, members) == []
+
+
+def test_a_recorder_receives_every_topic_but_the_commands_of_users(hand):
+    facts, members = all_matched(recorder=True), [*MEMBERS, names.RECORDER]
+    facts[f"/left/{names.RECORDER}"] = {}
+    assert [text for name, text in missing(hand, facts, members) if name == names.RECORDER] == [
+        f"recorder does not receive /left/{topic} yet" for topic in ("contacts", "clock")
+    ]
+
+
+def test_a_recorder_in_the_process_of_the_nodes_is_not_waited_for(hand):
+    facts = all_matched(composed=True)
+    facts[f"/left/{names.RECORDER}"] = {"subscriptions /left/clock": "1"}
+    assert missing(hand, facts) == []
+
+
+def test_a_node_that_has_not_matched_is_named(hand):
+    facts, topic = all_matched(), "/left/contacts"
+    facts[f"/left/{names.PLANT}"][f"publications {topic}"] = "0"
+    facts[f"/left/{names.SENSOR}"][f"subscriptions {topic}"] = "0"
+    assert missing(hand, facts) == [
+        (names.SENSOR, f"{names.SENSOR} does not receive {topic} yet"),
+        (names.PLANT, f"{names.PLANT} has matched 0 of 1 subscribers of {topic}"),
+    ]
+
+
+@pytest.mark.parametrize("absent", MEMBERS)
+def test_a_node_that_has_not_reported_is_missing(hand, absent):
+    facts = all_matched()
+    del facts[f"/left/{absent}"]
+    assert (absent, f"{absent} does not report yet") in missing(hand, facts)
+
+
+def test_a_subscriber_from_outside_must_be_matched_too(hand, context):
+    viewer = Node("viewer", context=context, namespace="/left")
+    viewer.create_subscription(Empty, names.CLOCK, print, 1)
+    topic = "/left/clock"
+    wait_until(lambda: hand.node.count_subscribers(topic) == 1)
+    assert missing(hand, all_matched()) == [
+        (names.PLANT, f"plant has matched 0 of 1 subscribers of {topic}")
+    ]
+    viewer.destroy_node()

@@ -104,8 +104,8 @@ def test_contacts_are_read_by_ros_and_by_us(stamp, count, data):
     for received in (ours, serialize_message(message), ours + bytes(4)):
         stamp_read, found = codec.decode(received)
         assert stamp_read == stamp
-        np.testing.assert_array_equal(found.positions, positions)
-        np.testing.assert_array_equal(found.quaternions, quaternions)
+        np.testing.assert_array_equal(found.position, positions)
+        np.testing.assert_array_equal(found.quaternion, quaternions)
 
 
 @given(stamps, names, st.sets(st.sampled_from(FIELDS), min_size=1), st.data())

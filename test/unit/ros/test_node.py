@@ -25,7 +25,7 @@ from tactile_hand_ros.errors import MessageError, TactileHandError, UnsafeOutput
 from tactile_hand_ros.ros import qos
 from tactile_hand_ros.ros.diagnostics import ERROR, OK, WARN
 from tactile_hand_ros.ros.endpoints import described, location, refusal
-from tactile_hand_ros.ros.messages import checked_number
+from tactile_hand_ros.ros.messages import read_number
 from tactile_hand_ros.ros.middleware import ros_context
 from tactile_hand_ros.ros.node import TactileNode
 
@@ -53,15 +53,15 @@ class Example(TactileNode[Gains]):
         self.got: list[float] = []
         self.calls: list[Any] = []
         self.error: Exception = KeyError("left")
-        self.subscribe(Float64, "x", self._on_x, sensor=True)
+        self.subscribe(Float64, "x", self._on_x, sensor=True, raw=True)
         self.subscribe(Float64, "y", self.fail)
         fail = self.guarded("ticks", self.fail)
         self.subscribe(Float64, "later", lambda _: self.executor.after_reading(fail))
         self.create_service(Trigger, "~/fail", self.fail)
 
-    def _on_x(self, message: Float64, info: Any) -> None:
+    def _on_x(self, data: bytes, info: Any) -> None:
         assert info["source_timestamp"] > 0
-        self.got.append(self.config.gain * checked_number(message.data))
+        self.got.append(self.config.gain * read_number(data))
 
     def fail(self, *_: Any) -> None:
         raise self.error
@@ -167,7 +167,7 @@ def test_a_service_refuses_in_the_fields_of_its_type():
 
 def test_the_place_is_the_innermost_of_this_package_or_else_of_all():
     try:
-        checked_number(math.nan)
+        read_number(b"")
     except MessageError as error:
         assert location(error).startswith("ros/messages.py:")
         assert described(error).startswith("MessageError at ros/messages.py:")
