@@ -141,12 +141,7 @@ def wrench_forces(points: Array, wrench: Array) -> Array:
 
 @compiled
 def spread_wrench(points: Array, wrench: Array) -> tuple[Array, float]:
-    """Return the forces of `wrench_forces`, undefined on a line, and the collinearity margin.
-
-    Args:
-        points: Contact points in the palm frame, shape (k, 3), m.
-        wrench: Force and torque about the contact centroid, shape (6,), N and N m.
-    """
+    """Return the forces of `wrench_forces`, undefined on a line, and the collinearity margin."""
     arms = centered(points)
     k, margin, scatter = len(points), _margin(arms), arms.T @ arms
     if k == 2:

@@ -35,7 +35,7 @@ def pressing(bench, grasp_force, theta):
     before = tips._replace(positions=tips.positions - tips.linear @ moved)
     positions, frames = carried_along(before, touch.positions, touch.rotations, moved)
     forces = in_palm(frames, bench.optimal, grasp_force)
-    return joint_torques(*tips, positions, forces)
+    return joint_torques(tips, positions, forces)
 
 
 def test_it_presses_from_its_posture_which_a_hold_keeps():
