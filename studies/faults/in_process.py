@@ -259,7 +259,7 @@ class FaultyLoop(GuardedLoop):
         elif cell.fault == "intermittent":
             here += [self._chance.uniform(-_JUMP, _JUMP) for _ in range(3)]
         with suppress(TactileHandError):
-            loop.controller.command(Target(here, np.eye(3)))
+            loop.controller.targets.command(Target(here, np.eye(3)))
 
     def restart(self) -> None:
         """Restart a killed block."""

@@ -129,7 +129,7 @@ class ClosedLoop:
         self._requests = sorted(scenario.user_forces, key=lambda request: request.time)
         self._desired = np.full(3, np.nan), np.full(4, np.nan)
         for target in scenario.targets:
-            self.controller.command(target.target(), target.stamp)
+            self.controller.targets.command(target.target(), target.stamp)
 
     @property
     def regulator(self) -> SlipRegulator:

@@ -212,22 +212,19 @@ def known_part(forces: Array) -> Array:
 
 
 @compiled
-def joint_torques(
-    centers: Array, linear: Array, angular: Array, points: Array, forces: Array
-) -> Array:
+def joint_torques(tips: Fingertips, points: Array, forces: Array) -> Array:
     """Return J_h^T f, the joint torques for forces at the contacts, shape (m,), N m.
 
     A force f at the arm p_cf acts at the fingertip's center as f and p_cf x f.
 
     Args:
-        centers: Fingertip centers p_f, palm frame, shape (k, 3), m.
-        linear: Jacobians of the fingertip centers, shape (k, 3, m).
-        angular: Jacobians of the tips' angular velocities, shape (k, 3, m).
+        tips: Fingertip centers and Jacobians.
         points: Contact points p_c, palm frame, shape (k, 3), m.
         forces: Forces f in palm axes, shape (k, 3), N.
 
     Source: Shaw-Cortez et al., equation (2), without forming J_h.
     """
+    centers, linear, angular = tips
     out = np.zeros(linear.shape[2])
     for i in range(len(points)):
         x, y, z = forces[i]

@@ -204,7 +204,7 @@ class Controller:
     period allows; see `holds`.
 
     Attributes:
-        targets: Desired poses: the one in force, and those that wait.
+        targets: Desired poses: the one in force, and those that wait; users command them there.
         enabled: Whether the law acts; otherwise the hand only damps.
         touch_rejected: Fingers whose touch does not fit the joints, so that nothing must be learned
             from it, shape (k,). No finger while the hand is open or disabled.
@@ -257,7 +257,6 @@ class Controller:
         self._held: Held | None = None  # unknown
         self._posture = np.zeros(self.hand.joints)  # of the hold
         self._delay = TorqueDelay(self.config.hold.latency, self.hand.joints)
-        self._grasp: Grasp | None = None
         self._sent = self._none  # at the last tick, N m
         self._last_torque: Array | None = None  # of the law, one tick ago
         self._last_stamp: int | None = None
@@ -317,25 +316,6 @@ class Controller:
         names = ", ".join(unfelt.finger_names)
         return f"no usable touch at {names}; going on by its joints" if names else ""
 
-    def command(self, target: Target, stamp: int = 0) -> None:
-        """Queue a desired pose; if `MAX_WAITING` wait already, the earliest is dropped.
-
-        An unreachable pose is rejected here or, after `MAX_CHECKED` poses in one tick, when it is
-        due.
-
-        Args:
-            target: Desired pose of the contact centroid's virtual frame, palm frame.
-            stamp: First tick at which it is due, ns; zero or a past one means now.
-
-        Raises:
-            PoseError: If the present grasp cannot be moved there.
-        """
-        self.targets.command(target, stamp, self._last_stamp, self._grasp)
-
-    def schedule(self, target: Target, stamp: int, *, judged: bool) -> None:
-        """Queue a desired pose as `command` does; `judged` is whether its reach was checked."""
-        self.targets.schedule(target, stamp, self._last_stamp, judged=judged)
-
     def release(self) -> None:
         """Open the fingers along the normals of the last grasp.
 
@@ -345,9 +325,10 @@ class Controller:
         if self._regrasp.active:
             self._regrasp.open()
             return
-        if self._grasp is None:
+        grasp = self.targets.grasp
+        if grasp is None:
             raise GraspError("there is no grasp to release; let all fingers touch first")
-        self._regrasp.leave(self._grasp.theta, self._grasp.contacts)
+        self._regrasp.leave(grasp.theta, grasp.contacts)
 
     @property
     def is_open(self) -> bool:
@@ -393,7 +374,7 @@ class Controller:
         """
         dt = self._elapsed(stamp)
         rates = self._rates.step(stamp, theta, rates, self.config.hold.resolution)
-        self.targets.start_tick()
+        self.targets.start_tick(self._last_stamp)
         if not self.enabled:
             return self._disabled(theta, rates)
         if self._regrasp.active:
@@ -448,8 +429,7 @@ class Controller:
         pose = self._law.auxiliary_pose(tips, now.contacts)
         if self._unfelt.any():
             contacts = contacts.replaced(self._touching, now.contacts)
-        self._grasp = Grasp(now.theta, contacts, pose)
-        refused = self.targets.take_due(now.stamp, self._grasp)
+        refused = self.targets.take_due(now.stamp, Grasp(now.theta, contacts, pose))
         assert self.targets.target is not None
         self._law.acts = not self.joints_held
         passed = 0.0 if self.joints_held else now.elapsed  # the reference waits
@@ -648,7 +628,7 @@ class Controller:
         Before its first grasp a controller keeps the torque that acts on the joints. Another
         controller may have crashed with the object in the hand.
         """
-        self.targets.start_tick()
+        self.targets.start_tick(self._last_stamp)
         if not self.enabled:
             return self._disabled(theta, rates)
         self._enter(Mode.HOLD, theta)

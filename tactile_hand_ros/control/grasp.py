@@ -141,12 +141,7 @@ def wrench_forces(points: Array, wrench: Array) -> Array:
 
 @compiled
 def spread_wrench(points: Array, wrench: Array) -> tuple[Array, float]:
-    """Return the forces of `wrench_forces`, undefined on a line, and the collinearity margin.
-
-    Args:
-        points: Contact points in the palm frame, shape (k, 3), m.
-        wrench: Force and torque about the contact centroid, shape (6,), N and N m.
-    """
+    """Return the forces of `wrench_forces`, undefined on a line, and the collinearity margin."""
     arms = centered(points)
     k, margin, scatter = len(points), _margin(arms), arms.T @ arms
     if k == 2:
@@ -333,41 +328,28 @@ def _leading(points: Array) -> Array:
 
 
 @compiled
-def orientation_error(actual: Array, desired: Array) -> Array:
-    """Return r_d = sum over the axes of r x r_desired, shape (3,).
-
-    It is 2 sin(angle) times the axis of the rotation from actual to desired, in palm axes.
-
-    Args:
-        actual: R_pov, shape (3, 3).
-        desired: R_pod, shape (3, 3).
-
-    Source: Shaw-Cortez et al., below equation (8).
-    """
-    out = np.zeros(3)
-    for axis in range(3):
-        a, b, c = actual[:, axis]
-        x, y, z = desired[:, axis]
-        p, q, r = cross((a, b, c), (x, y, z))
-        out[0] += p
-        out[1] += q
-        out[2] += r
-    return out
-
-
-@compiled
 def pose_error(position: Array, actual: Array, wanted: Array, desired: Array) -> Array:
-    """Return p_d - p and the `orientation_error` of two poses, shape (6,), m and 1.
+    """Return p_d - p, m, and r_d = sum over the axes of r x r_desired, shape (6,).
+
+    r_d is 2 sin(angle) times the axis of the rotation from actual to desired, in palm axes.
 
     Args:
         position: p, shape (3,), m.
         actual: R_pov, shape (3, 3).
         wanted: p_d, shape (3,), m.
         desired: R_pod, shape (3, 3).
+
+    Source: Shaw-Cortez et al., below equation (8).
     """
-    out = np.empty(6)
+    out = np.zeros(6)
     out[:3] = wanted - position
-    out[3:] = orientation_error(actual, desired)
+    for axis in range(3):
+        a, b, c = actual[:, axis]
+        x, y, z = desired[:, axis]
+        p, q, r = cross((a, b, c), (x, y, z))
+        out[3] += p
+        out[4] += q
+        out[5] += r
     return out
 
 

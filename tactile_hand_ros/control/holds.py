@@ -101,7 +101,7 @@ def required_bandwidth(
         ahead, behind = (hand.fingertips(theta + sign * _STEP * rates) for sign in (1.0, -1.0))
         rolling = np.cross(spin, arms)
         missing = np.empty(m + 6)
-        pressing = (joint_torques(*each, each.positions + arms, forces) for each in (ahead, behind))
+        pressing = (joint_torques(each, each.positions + arms, forces) for each in (ahead, behind))
         missing[:m] = np.subtract(*pressing) / (2.0 * _STEP)
         missing[:m] += np.einsum("kim,ki->m", tips.angular, np.cross(rolling, forces))
         moved = tips.linear @ rates + rolling - velocity

@@ -490,7 +490,7 @@ class ContactLaw:
         return self._pressing(wrench_forces(self.seen.contacts.positions, wrench))
 
     def _pressing(self, forces: Array) -> Array:
-        return joint_torques(*self.seen.tips, self.seen.contacts.positions, forces)
+        return joint_torques(self.seen.tips, self.seen.contacts.positions, forces)
 
 
 class OptimalLaw(ContactLaw):

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from tactile_hand_ros.compiled import Array, compiled
 from tactile_hand_ros.config.model import Config, param
-from tactile_hand_ros.control.contact import Contacts
+from tactile_hand_ros.control.contact import Contacts, all_finite
 from tactile_hand_ros.control.grasp import centered, net_wrench, spread_wrench
 from tactile_hand_ros.rotations import cross, dot
 
@@ -180,43 +180,19 @@ class LoadObserver:
             forces: Measured forces in contact frames, shape (k, 3), N.
             dt: Time since the last tick, s.
         """
-        fraction = 1.0 - math.exp(-dt / config.time)
-        touch = contacts.positions, contacts.rotations, forces
-        self.wrench = _followed(
-            self.wrench, *touch, fraction, config.force_limit, config.torque_limit
-        )
+        measured = net_wrench(contacts.positions, contacts.rotations, forces)
+        if all_finite(measured):
+            fraction = 1.0 - math.exp(-dt / config.time)
+            self.wrench = self.wrench + fraction * (measured - self.wrench)
+            limit_wrench(self.wrench, config.force_limit, config.torque_limit)
         return self.wrench
-
-
-@compiled
-def _followed(
-    before: Array,
-    points: Array,
-    rotations: Array,
-    forces: Array,
-    fraction: float,
-    force_limit: float,
-    torque_limit: float,
-) -> Array:
-    """Return an observed wrench moved towards the measured one if that is finite."""
-    measured, out = net_wrench(points, rotations, forces), before.copy()
-    if np.isfinite(measured).all():
-        out += fraction * (measured - out)
-        limit_wrench(out, force_limit, torque_limit)
-    return out
 
 
 @compiled
 def limit_wrench(wrench: Array, force_limit: float, torque_limit: float) -> None:
     """Shorten force, N, and torque, N m, of a wrench in place to their limits."""
-    limit_length(wrench[:3], force_limit)
-    limit_length(wrench[3:], torque_limit)
-
-
-@compiled
-def limit_length(vector: Array, limit: float) -> None:
-    """Shorten a vector of shape (3,) in place to a length `limit` in its unit."""
-    x, y, z = vector
-    length = math.sqrt(x * x + y * y + z * z)
-    if length > limit:
-        vector *= limit / length
+    for part, limit in ((wrench[:3], force_limit), (wrench[3:], torque_limit)):
+        x, y, z = part
+        length = math.sqrt(x * x + y * y + z * z)
+        if length > limit:
+            part *= limit / length

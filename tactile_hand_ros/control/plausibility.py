@@ -167,7 +167,7 @@ class ForceTorqueCheck:
         dt = 1e-9 * (stamp - before[0])
         pressed = applied - inertia @ (rates - before[1]) / dt - bias
         seen = in_palm(contacts.rotations, forces, 1.0)
-        measured = joint_torques(*tips, contacts.positions, seen)
+        measured = joint_torques(tips, contacts.positions, seen)
         if not self._past:
             self._pressed = self._measured = pressed
             self._started = stamp

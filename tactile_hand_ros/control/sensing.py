@@ -167,94 +167,6 @@ def _slopes(times: Array, angles: Array, count: int, error: float) -> tuple[Arra
     return slopes, lengths
 
 
-class TouchAge:
-    """Finds how old the contact points are, while the joints move.
-
-    A contact that was measured a time a ago is off its fingertip by -a J_f theta'. This is a linear
-    regression of gaps on tip speeds. Its intercepts are the errors of hand and skin; noise pulls
-    the age towards 0. Motions too slow for a gap beyond the error of the angles show nothing.
-
-    Attributes:
-        age: The age, 0 until it is known, s.
-    """
-
-    def __init__(self, fingers: int) -> None:
-        """Start without samples of k fingers."""
-        self._means, self._moments = np.zeros((2, fingers, 3)), np.zeros(3)
-        self.age = 0.0
-
-    def step(
-        self,
-        tips: Fingertips,
-        rates: Array,
-        contacts: Contacts,
-        radii: Array,
-        largest: float,
-        error: float,
-    ) -> None:
-        """Learn from a new sample of the skin.
-
-        Args:
-            tips: Fingertip centers and Jacobians.
-            rates: Joint rates, shape (m,), rad/s.
-            contacts: Contacts; all fingers touch.
-            radii: Radii of the fingertips, shape (k,), m.
-            largest: Largest possible age, s.
-            error: Largest error of an angle, rad.
-        """
-        gaps = tip_gaps(tips, contacts, radii)
-        memory = self._means, self._moments
-        if _regress(tips.linear, rates, gaps, *memory, largest, error):
-            speed, gap, both = self._moments
-            spread = speed + gap / (_AGE_SAMPLES * largest * largest)
-            self.age = min(max(-both / spread, 0.0), largest) if spread > 0.0 else 0.0
-
-
-@compiled
-def _regress(
-    linear: Array,
-    rates: Array,
-    gaps: Array,
-    means: Array,
-    moments: Array,
-    largest: float,
-    error: float,
-) -> bool:
-    """Add a sample, and return whether its speeds may show an age.
-
-    Args:
-        linear: Jacobians J_f of the fingertips, shape (k, 3, m), m/rad.
-        rates: Joint rates, shape (m,), rad/s.
-        gaps: Contacts less the points p_f + r n of the fingertips, shape (k, 3), m.
-        means: Of speeds and gaps, shape (2, k, 3); updated.
-        moments: Variances of speeds and gaps, and their covariance, shape (3,); updated.
-        largest: Largest possible age, s.
-        error: Largest error of an angle, rad.
-    """
-    speeds, shown, hidden = np.zeros(gaps.shape), 0.0, 0.0
-    for i in range(len(gaps)):
-        for axis in range(3):
-            lever = 0.0
-            for j in range(len(rates)):
-                speeds[i, axis] += linear[i, axis, j] * rates[j]
-                lever += abs(linear[i, axis, j])
-            shown += (largest * speeds[i, axis]) ** 2
-            hidden += (error * lever) ** 2
-    if shown <= hidden:
-        return False
-    fraction = 1.0 / _AGE_SAMPLES
-    for i in range(len(gaps)):
-        for axis in range(3):
-            speed, gap = speeds[i, axis] - means[0, i, axis], gaps[i, axis] - means[1, i, axis]
-            means[0, i, axis] += fraction * speed
-            means[1, i, axis] += fraction * gap
-            moments[0] += fraction * speed * speed
-            moments[1] += fraction * gap * gap
-            moments[2] += fraction * speed * gap
-    moments *= 1.0 - fraction
-    return True
-
-
 class UnfeltTouch:
     """Fills in the touch of fingers that press although their skin reports no contact.
 
@@ -340,13 +252,20 @@ def _stretched(contacts: Contacts, moved: Array) -> Array:
 class LateTouch:
     """Finds how far the joints moved since the contact points of a tick were measured.
 
-    A skin is late, and a slow one repeats its samples.
+    A skin is late, and a slow one repeats its samples. A contact that was measured a time a ago is
+    off its fingertip by -a J_f theta'. The age is a linear regression of gaps on tip speeds. Its
+    intercepts are the errors of hand and skin; noise pulls the age towards 0. Motions too slow for
+    a gap beyond the error of the angles show nothing.
+
+    Attributes:
+        age: The age of a new sample, 0 until it is known, s.
     """
 
     def __init__(self, hand: Hand) -> None:
         """Start without samples of a hand."""
         self._radii = hand.radii
-        self._age = TouchAge(hand.fingers)
+        self._means, self._moments = np.zeros((2, hand.fingers, 3)), np.zeros(3)
+        self.age = 0.0
         self._past: deque[tuple[int, Array]] = deque()  # ticks, ns, and their joint angles, rad
         # Contact points, m, and the joint angles when they were measured, rad.
         self._sample: tuple[Array, Array] | None = None
@@ -381,11 +300,21 @@ class LateTouch:
             self._past.popleft()
         if self._sample is None or (contacts.positions != self._sample[0])[felt].any():
             if rates is not None and largest > 0.0 and felt.all():
-                self._age.step(tips, rates, contacts, self._radii, largest, error)
-            age = self._age.age
-            then = theta if age < 0.5 * tick else self._angles_at(stamp - 1e9 * age)
+                self._learn(tips, rates, contacts, largest, error)
+            then = theta if self.age < 0.5 * tick else self._angles_at(stamp - 1e9 * self.age)
             self._sample = contacts.positions, then
         return theta - self._sample[1]
+
+    def _learn(
+        self, tips: Fingertips, rates: Array, contacts: Contacts, largest: float, error: float
+    ) -> None:
+        """Learn the age from a new sample of the skin; see `step`."""
+        gaps = tip_gaps(tips, contacts, self._radii)
+        memory = self._means, self._moments
+        if _regress(tips.linear, rates, gaps, *memory, largest, error):
+            speed, gap, both = self._moments
+            spread = speed + gap / (_AGE_SAMPLES * largest * largest)
+            self.age = min(max(-both / spread, 0.0), largest) if spread > 0.0 else 0.0
 
     def _angles_at(self, stamp: float) -> Array:
         """Return the joint angles at a past time in ns, shape (m,), rad, or the oldest known."""
@@ -393,3 +322,48 @@ class LateTouch:
         (since, before), (until, after) = self._past[max(0, later - 1)], self._past[later]
         part = (stamp - since) / (until - since) if until > since else 0.0
         return before + part * (after - before)
+
+
+@compiled
+def _regress(
+    linear: Array,
+    rates: Array,
+    gaps: Array,
+    means: Array,
+    moments: Array,
+    largest: float,
+    error: float,
+) -> bool:
+    """Add a sample, and return whether its speeds may show an age.
+
+    Args:
+        linear: Jacobians J_f of the fingertips, shape (k, 3, m), m/rad.
+        rates: Joint rates, shape (m,), rad/s.
+        gaps: Contacts less the points p_f + r n of the fingertips, shape (k, 3), m.
+        means: Of speeds and gaps, shape (2, k, 3); updated.
+        moments: Variances of speeds and gaps, and their covariance, shape (3,); updated.
+        largest: Largest possible age, s.
+        error: Largest error of an angle, rad.
+    """
+    speeds, shown, hidden = np.zeros(gaps.shape), 0.0, 0.0
+    for i in range(len(gaps)):
+        for axis in range(3):
+            lever = 0.0
+            for j in range(len(rates)):
+                speeds[i, axis] += linear[i, axis, j] * rates[j]
+                lever += abs(linear[i, axis, j])
+            shown += (largest * speeds[i, axis]) ** 2
+            hidden += (error * lever) ** 2
+    if shown <= hidden:
+        return False
+    fraction = 1.0 / _AGE_SAMPLES
+    for i in range(len(gaps)):
+        for axis in range(3):
+            speed, gap = speeds[i, axis] - means[0, i, axis], gaps[i, axis] - means[1, i, axis]
+            means[0, i, axis] += fraction * speed
+            means[1, i, axis] += fraction * gap
+            moments[0] += fraction * speed * speed
+            moments[1] += fraction * gap * gap
+            moments[2] += fraction * speed * gap
+    moments *= 1.0 - fraction
+    return True

@@ -116,11 +116,12 @@ class TargetQueue:
     Attributes:
         target: The desired pose in force; None before the first tick.
         accepted: The desired pose that became the target in this tick, or None.
+        grasp: The last grasp; None before the first.
         dropped: Number of desired poses that were dropped because too many waited.
     """
 
-    def __init__(self, hand: Hand, refusal: str = "") -> None:
-        """Start without poses for a hand, whose reach decides; a `refusal` rejects them all."""
+    def __init__(self, hand: Hand, refusal: str) -> None:
+        """Start without poses for a hand, whose reach decides; any `refusal` rejects them all."""
         self._hand, self._refusal = hand, refusal
         self.accepted: Target | None = None
         self.dropped = 0
@@ -131,38 +132,41 @@ class TargetQueue:
         self.target: Target | None = None
         self._queue: list[_QueuedPose] = []
         self._in_reach: Target | None = None
+        self.grasp: Grasp | None = None
+        self._now: int | None = None
         self._checked = 0
 
-    def start_tick(self) -> None:
-        """Start a tick: `MAX_CHECKED` poses may be checked again."""
-        self._checked, self.accepted = 0, None
+    def start_tick(self, now: int | None) -> None:
+        """Start a tick, ns: `MAX_CHECKED` poses may be checked again."""
+        self._now, self._checked, self.accepted = now, 0, None
 
     def start_grasp(self) -> None:
         """Drop the target of the last grasp; waiting poses are checked against the new one."""
         self.target = self._in_reach = None
         self._queue = [queued._replace(judged=False) for queued in self._queue]
 
-    def command(self, target: Target, stamp: int, now: int | None, grasp: Grasp | None) -> None:
-        """Queue a desired pose, and check it now if there is a grasp and time for it.
+    def command(self, target: Target, stamp: int = 0) -> None:
+        """Queue a desired pose; if `MAX_WAITING` wait already, the earliest is dropped.
+
+        An unreachable pose is rejected here or, without a grasp or after `MAX_CHECKED` poses in one
+        tick, when it is due.
 
         Args:
-            target: The pose.
+            target: Desired pose of the contact centroid's virtual frame, palm frame.
             stamp: First tick at which it is due, ns; zero or a past one means now.
-            now: The last tick, ns; None before the first.
-            grasp: The last grasp; None before the first.
 
         Raises:
-            PoseError: If the grasp cannot be moved there.
+            PoseError: If the present grasp cannot be moved there.
         """
-        is_judged = grasp is not None and self._checked < MAX_CHECKED
-        if grasp is not None and is_judged:
+        is_judged = self.grasp is not None and self._checked < MAX_CHECKED
+        if self.grasp is not None and is_judged:
             self._checked += 1
-            self._judge(target.kept(grasp.pose), grasp)
-        self.schedule(target, stamp, now, judged=is_judged and target.is_whole)
+            self._judge(target.kept(self.grasp.pose), self.grasp)
+        self.schedule(target, stamp, judged=is_judged and target.is_whole)
 
-    def schedule(self, target: Target, stamp: int, now: int | None, *, judged: bool) -> None:
+    def schedule(self, target: Target, stamp: int, *, judged: bool) -> None:
         """Queue a desired pose as `command` does; `judged` is whether its reach was checked."""
-        if stamp <= (now or 0):
+        if stamp <= (self._now or 0):
             stamp = 0
         bisect.insort(self._queue, _QueuedPose(stamp, target, judged), key=_due_at)
         if len(self._queue) > MAX_WAITING:
@@ -182,6 +186,7 @@ class TargetQueue:
         Without a target the grasp stays where it was first seen. A tick has time to check one pose.
         If it is rejected, older ones follow in the next tick.
         """
+        self.grasp = grasp
         if self.target is None:
             self.stay(grasp.pose)
         count = bisect.bisect_right(self._queue, stamp, key=_due_at)

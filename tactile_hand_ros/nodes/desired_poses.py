@@ -55,7 +55,7 @@ class DesiredPoses:
         if last is not None and stamp > last + DAY_NS:
             raise MessageError(far_ahead(stamp, last))
         dropped = self._controller.targets.dropped
-        self._controller.command(target, stamp)
+        self._controller.targets.command(target, stamp)
         self.fresh.append((target, stamp))
         if self._controller.targets.dropped > dropped:
             text = f"more than {MAX_WAITING} poses wait for their tick; the earliest is dropped"
@@ -77,4 +77,4 @@ class DesiredPoses:
     def command_again(self) -> None:
         """Send the poses since the last tick to the controller again, after its reset."""
         for target, stamp in self.fresh:
-            self._controller.command(target, stamp)
+            self._controller.targets.command(target, stamp)

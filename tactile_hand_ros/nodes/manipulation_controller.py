@@ -206,7 +206,7 @@ class ManipulationControllerNode(TactileNode[ControllerConfig]):
             touch = Contacts(on_tips, contacts.rotations)
             if stamp == _TICK:
                 ahead = Target(touch.centroid + _SHORT, np.full((3, 3), np.nan))
-                self._controller.schedule(ahead, 0, judged=False)
+                self._controller.targets.schedule(ahead, 0, judged=False)
             self._controller.step(
                 stamp, theta, rates, touch, forces / hand.fingers, 1.0, forces, still
             )

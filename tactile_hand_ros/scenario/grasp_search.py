@@ -328,7 +328,7 @@ class _Problem:
             raise GraspError(f"friction of {friction:g} does not hold it")
 
         def torques(forces: Array) -> Array:
-            return joint_torques(*fingertips, points, forces)
+            return joint_torques(fingertips, points, forces)
 
         pressing = torques(in_palm(contacts.rotations, optimal.forces, 1.0))
         carrying = [torques(wrench_forces(points, wrench)) for wrench in np.eye(3, 6)]

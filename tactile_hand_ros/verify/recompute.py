@@ -239,7 +239,7 @@ def _apply(change: Change, node: str, block: Any) -> None:
     elif name == names.GRASP_FORCE:
         block.goal = value
     elif name == names.DESIRED_POSE:
-        block.schedule(value, change.stamp, judged=True)
+        block.targets.schedule(value, change.stamp, judged=True)
     elif name == "reset":
         block.forget() if node == names.CONTROLLER else block.reset()
     elif name == "enable":

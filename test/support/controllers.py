@@ -75,7 +75,7 @@ class Bench:
     def pressing(self, forces: Array = FORCES) -> Array:
         """Return the joint torques at rest for forces in contact frames, shape (9,), N m."""
         hand, press = self.controller.hand, in_palm(self.contacts.rotations, forces, 1.0)
-        torque = joint_torques(*hand.fingertips(self.theta), self.contacts.positions, press)
+        torque = joint_torques(hand.fingertips(self.theta), self.contacts.positions, press)
         return torque + hand.gravity_torque(self.theta)
 
     def stiffness(self, theta: Array) -> Array:

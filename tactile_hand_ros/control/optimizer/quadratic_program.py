@@ -225,13 +225,21 @@ def residual(problem: Problem, x: Array, multipliers: Array) -> float:
 @compiled
 def _optimum(problem: Problem, held: Flags, x: Array, multipliers: Array) -> bool:
     """Write the optimum under active inequalities; return whether it is determined."""
-    e = len(problem.equal)
-    rows, right = _active(problem, held)
-    found, determined = minimum_cost(rows, right, problem.weights, problem.price, x)
+    e, (rows, right) = len(problem.equal), _active(problem, held)
     multipliers[:] = 0.0
-    multipliers[:e] = found[:e]
-    multipliers[e:][held] = found[e:]
-    return determined
+    factor, determined = factorize(schur_complement(rows, problem.weights))
+    if not determined:
+        return False
+    y = np.zeros(len(rows))
+    missing = _missing(problem, rows, right, y, x)
+    for _ in range(2):  # the second time removes the rounding errors of the first
+        missing *= -2.0
+        substitute(factor, missing.reshape(-1, 1))
+        y += missing
+        missing = _missing(problem, rows, right, y, x)
+    multipliers[:e] = y[:e]
+    multipliers[e:][held] = y[e:]
+    return True
 
 
 @compiled
@@ -301,46 +309,14 @@ def _direction(problem: Problem, held: Flags, row: Array) -> tuple[Array, float]
 
 
 @compiled
-def minimum_cost(
-    rows: Array, right: Array, weights: Array, price: Array, x: Array
-) -> tuple[Array, bool]:
-    """Write the optimum under A x = b into x.
-
-    Args:
-        rows: A, shape (m, n).
-        right: b, shape (m,).
-        weights: Diagonal of W, shape (n,).
-        price: q, shape (n,).
-        x: Output, shape (n,).
-
-    Returns:
-        The multipliers y, shape (m,), and whether both are determined.
-    """
-    size = len(rows)
-    multipliers = np.zeros(size)
-    factor, determined = factorize(schur_complement(rows, weights))
-    if not determined:
-        return multipliers, False
-    missing = _missing(rows, right, weights, price, multipliers, x)
-    for _ in range(2):  # the second time removes the rounding errors of the first
-        missing *= -2.0
-        substitute(factor, missing.reshape(size, 1))
-        multipliers += missing
-        missing = _missing(rows, right, weights, price, multipliers, x)
-    return multipliers, True
-
-
-@compiled
-def _missing(
-    rows: Array, right: Array, weights: Array, price: Array, multipliers: Array, x: Array
-) -> Array:
-    """Write the x of given multipliers; return b - A x, shape (m,)."""
+def _missing(problem: Problem, rows: Array, right: Array, y: Array, x: Array) -> Array:
+    """Write the x of multipliers y of A x = b; return b - A x, shape (m,)."""
     size, n = rows.shape
     for j in range(n):
-        total = price[j]
+        total = problem.price[j]
         for i in range(size):
-            total += rows[i, j] * multipliers[i]
-        x[j] = -0.5 * total / weights[j]
+            total += rows[i, j] * y[i]
+        x[j] = -0.5 * total / problem.weights[j]
     missing = right.copy()
     for i in range(size):
         for j in range(n):

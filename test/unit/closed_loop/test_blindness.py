@@ -30,7 +30,7 @@ def replay(scenario, seen):
         Controller(scenario.manipulation_controller),
     )
     for wish in scenario.targets:
-        chain.controller.command(wish.target(), wish.stamp)
+        chain.controller.targets.command(wish.target(), wish.stamp)
     contacts = map(Contacts.from_poses, seen.contact_positions, seen.contact_quaternions)
     joints = seen.theta, seen.rates, seen.torque
     ticks = zip(seen.stamps.tolist(), *joints, contacts, seen.forces, strict=True)

@@ -93,7 +93,7 @@ def test_joint_torques_are_the_transposed_hand_jacobian_times_the_forces(touch):
     random = np.random.default_rng(6)
     forces, rates = random.normal(size=(3, 3)), random.normal(size=9)
     jacobian = equations.hand_jacobian(*tips, points)
-    torques = joint_torques(*tips, points, forces)
+    torques = joint_torques(tips, points, forces)
     np.testing.assert_allclose(torques, jacobian.T @ forces.ravel(), atol=1e-15)
     assert torques @ rates == pytest.approx((jacobian @ rates) @ forces.ravel())
 

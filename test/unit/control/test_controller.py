@@ -46,8 +46,8 @@ def test_without_a_target_the_grasp_is_kept_where_it_was_first_seen(bench):
 def test_a_target_keeps_what_is_nan_as_the_grasp_is_when_it_takes_effect(bench):
     nothing, turn = np.full((3, 3), np.nan), rotation_from_vector([0.0, 0.0, 0.1])
     there = bench.centroid + [0.0, 0.0, 0.01]
-    bench.controller.command(Target(there, nothing), stamp=2 * TICK)
-    bench.controller.command(Target(np.full(3, np.nan), turn), stamp=4 * TICK)
+    bench.controller.targets.command(Target(there, nothing), stamp=2 * TICK)
+    bench.controller.targets.command(Target(np.full(3, np.nan), turn), stamp=4 * TICK)
     moved_on = bench.elsewhere(0.0, 0.002, 0.0, turn=(0.05, 0.0, 0.0))
     bench.step(2)
     pose = bench.step(2, contacts=moved_on).pose
@@ -73,10 +73,10 @@ def test_a_grasp_force_beyond_the_joints_keeps_its_shape(bench):
 
 def test_of_several_targets_the_latest_due_one_counts(bench):
     bench.step(5)
-    bench.controller.command(bench.target(0.03, 0.0, 0.0), stamp=7 * TICK)
-    bench.controller.command(bench.target(0.04, 0.0, 0.0), stamp=4 * TICK)
-    bench.controller.command(bench.target(0.01, 0.0, 0.0), stamp=1 * TICK)
-    bench.controller.command(bench.target(0.02, 0.0, 0.0), stamp=0)
+    bench.controller.targets.command(bench.target(0.03, 0.0, 0.0), stamp=7 * TICK)
+    bench.controller.targets.command(bench.target(0.04, 0.0, 0.0), stamp=4 * TICK)
+    bench.controller.targets.command(bench.target(0.01, 0.0, 0.0), stamp=1 * TICK)
+    bench.controller.targets.command(bench.target(0.02, 0.0, 0.0), stamp=0)
     wanted, accepted = [], []
     for _ in range(4):
         bench.step()
@@ -91,10 +91,12 @@ def test_of_several_targets_the_latest_due_one_counts(bench):
 def test_of_too_many_waiting_targets_the_earliest_are_dropped_and_counted(bench):
     bench.step()
     for tick in range(MAX_WAITING, 0, -1):
-        bench.controller.command(bench.target(1e-5 * tick, 0.0, 0.0), stamp=(tick + 2) * TICK)
+        bench.controller.targets.command(
+            bench.target(1e-5 * tick, 0.0, 0.0), stamp=(tick + 2) * TICK
+        )
     assert bench.controller.targets.dropped == 0
     for _ in range(2):
-        bench.controller.command(bench.target(0.03, 0.0, 0.0), stamp=10**6 * TICK)
+        bench.controller.targets.command(bench.target(0.03, 0.0, 0.0), stamp=10**6 * TICK)
     assert bench.controller.targets.dropped == 2
     bench.stamp = 4 * TICK
     bench.step()  # the first two are gone
@@ -108,7 +110,7 @@ def test_of_too_many_waiting_targets_the_earliest_are_dropped_and_counted(bench)
 def test_targets_after_a_tick_can_be_forgotten(bench):
     bench.step()
     for tick in (7, 8, 9, 9):
-        bench.controller.command(bench.target(1e-3 * tick, 0.0, 0.0), stamp=tick * TICK)
+        bench.controller.targets.command(bench.target(1e-3 * tick, 0.0, 0.0), stamp=tick * TICK)
     assert bench.controller.targets.forget_after(8 * TICK) == [9 * TICK, 9 * TICK]
     assert bench.controller.targets.forget_after(8 * TICK) == []
     bench.stamp = 20 * TICK
@@ -124,13 +126,13 @@ def test_a_law_without_a_finite_torque_gives_the_hold(bench):
 
 
 def test_a_target_out_of_reach_is_refused_at_once_and_the_last_stays(bench):
-    bench.controller.command(bench.target(0.05, 0.0, 0.0))
+    bench.controller.targets.command(bench.target(0.05, 0.0, 0.0))
     bench.step()
     with pytest.raises(PoseError, match=r"out of reach: finger_\d would stay \d+ mm short"):
-        bench.controller.command(bench.target(0.0, 0.0, 2.0))
+        bench.controller.targets.command(bench.target(0.0, 0.0, 2.0))
     assert bench.step().reason == ""
     np.testing.assert_allclose(bench.shift, [0.05, 0.0, 0.0], atol=1e-12)
-    bench.controller.schedule(bench.target(0.0, 0.0, 2.0), 0, judged=False)
+    bench.controller.targets.schedule(bench.target(0.0, 0.0, 2.0), 0, judged=False)
     assert "out of reach" in bench.step().reason
 
 
@@ -139,14 +141,14 @@ def test_a_move_ends_where_the_grasp_force_nears_its_limit():
     bench = Bench(grasp_force_limit=20.0, reference_time=0.2)
     bench.step()
     target = bench.target(0.01, 0.0, 0.0)
-    bench.controller.command(target)
+    bench.controller.targets.command(target)
     assert not bench.step(100, grasp_force=15.9).reason
     assert "the move ends here: k_f = 16.1 N is near" in bench.step(grasp_force=16.1).reason
     stopped = bench.controller.targets.target
     np.testing.assert_array_equal(stopped.position, bench.centroid)
     assert not bench.step(500, grasp_force=10.0).reason
     assert bench.controller.targets.target is stopped
-    bench.controller.command(target)
+    bench.controller.targets.command(target)
     assert not bench.step(2000).reason  # it may be requested again
     assert not bench.step(grasp_force=19.0).reason  # and a target that was reached is kept
     assert bench.controller.targets.target is target
@@ -331,7 +333,7 @@ def test_a_smooth_reference_starts_again_from_where_the_grasp_is(interrupt):
     """An unfinished motion must not pull at the grasp after an interruption."""
     bench = Bench(reference_time=0.05)
     rest = bench.step().torque
-    bench.controller.command(bench.target(0.05, 0.02, 0.0, turn=(0.0, 0.0, 0.2)))
+    bench.controller.targets.command(bench.target(0.05, 0.02, 0.0, turn=(0.0, 0.0, 0.2)))
     assert np.abs(bench.step(30).torque - rest).max() > 1e-2
     interrupt(bench)
     there = {"contacts": bench.elsewhere(-0.02, 0.01, 0.03, turn=(0.1, -0.1, 0.0))}
@@ -345,7 +347,7 @@ def integral_torque(interrupt):
     torques = []
     for gains in ({"law__integral__k_p": 1.0}, {}):
         bench = Bench(**gains)
-        bench.controller.command(bench.target(0.02, 0.0, 0.0))
+        bench.controller.targets.command(bench.target(0.02, 0.0, 0.0))
         bench.step(11)
         interrupt(bench)
         torques.append(bench.step(11).torque)
@@ -375,7 +377,7 @@ def test_nothing_is_integrated_over_an_interruption(interrupt):
 
 
 def test_gains_change_while_running(bench):
-    bench.controller.command(bench.target(0.05, 0.0, 0.0))
+    bench.controller.targets.command(bench.target(0.05, 0.0, 0.0))
     soft = bench.step().torque
     bench.controller.configure(ControllerConfig().changed({**TABLE_I, "law.k_p": 6.0}))
     stiff = bench.step().torque
@@ -392,7 +394,7 @@ def test_gains_change_while_running(bench):
 def strained(interrupt=lambda bench: None):
     """Return a controller with integral, load, reference and future targets."""
     bench = Bench(**EVERYTHING)
-    bench.controller.command(bench.target(0.05, 0.0, 0.0, turn=(0.0, 0.0, 0.3)))
+    bench.controller.targets.command(bench.target(0.05, 0.0, 0.0, turn=(0.0, 0.0, 0.3)))
     bench.step(20, forces=FORCES)
     interrupt(bench)
     return bench
@@ -407,7 +409,7 @@ def let_go(bench):
 @pytest.mark.parametrize("interrupt", [lambda bench: None, miss, idle, let_go])
 def test_reset_forgets_everything(interrupt):
     bench, fresh = strained(interrupt), Bench(**EVERYTHING)
-    bench.controller.command(bench.target(0.0, 0.05, 0.0), stamp=bench.stamp + 3 * TICK)
+    bench.controller.targets.command(bench.target(0.0, 0.05, 0.0), stamp=bench.stamp + 3 * TICK)
     bench.controller.reset()
     assert bench.controller.targets.target is None and not bench.controller.is_open
     with pytest.raises(GraspError, match="no grasp to release; let all fingers touch"):
@@ -463,7 +465,7 @@ def test_after_a_reset_time_may_restart():
     bench = strained()
     bench.controller.reset()
     bench.stamp = 0
-    bench.controller.command(bench.target(0.02, 0.0, 0.0), stamp=4 * TICK)
+    bench.controller.targets.command(bench.target(0.02, 0.0, 0.0), stamp=4 * TICK)
     for expected in (0.0, 0.0, 0.0, 0.0, 0.02):
         bench.step()
         np.testing.assert_allclose(bench.shift, [expected, 0.0, 0.0], atol=1e-12)
@@ -565,7 +567,7 @@ def test_while_the_joints_are_held_nothing_winds_up(wound_up):
     """After 400 held ticks the torque equals the first one, and then changes continuously."""
     values = {"law__integral__k_p": 20.0} if wound_up == "integral" else {"reference_time": 0.1}
     bench = Bench(**values)
-    bench.controller.command(bench.target(0.05, 0.0, 0.0))
+    bench.controller.targets.command(bench.target(0.05, 0.0, 0.0))
     bench.step(3)
     bench.controller.joints_held = True
     first = bench.step().torque
@@ -598,7 +600,7 @@ def test_after_a_hold_the_reference_goes_on_where_and_as_fast_as_it_was():
 
     def torques(held_ticks):
         bench = Bench(reference_time=0.1)
-        bench.controller.command(bench.target(0.05, -0.02, 0.01))
+        bench.controller.targets.command(bench.target(0.05, -0.02, 0.01))
         before = [bench.step().torque for _ in range(20)]
         bench.controller.joints_held = True
         for _ in range(held_ticks):

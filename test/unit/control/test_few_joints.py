@@ -114,7 +114,7 @@ def test_two_joint_fingers_hold_and_refuse_moves_that_they_cannot_make(tmp_path)
     pose = loop.controller.targets.target
     turned = rotation_from_vector(np.array([0.0, 0.0, 0.2])) @ pose.orientation
     with pytest.raises(PoseError):
-        loop.controller.command(pose._replace(orientation=turned))
+        loop.controller.targets.command(pose._replace(orientation=turned))
 
 
 def test_gains_fit_motions_that_exist_only(tmp_path):

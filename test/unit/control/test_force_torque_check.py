@@ -26,7 +26,7 @@ FORCES = np.array([[0.3, 4.0, -0.2], [0.1, 2.5, 0.6], [-0.4, 3.0, 0.5]])
 def torque(forces):
     """Return the joint torques at rest for forces in contact frames."""
     pressing = in_palm(CONTACTS.rotations, forces, 1.0)
-    return joint_torques(*TERMS[0], CONTACTS.positions, pressing) + TERMS[2]
+    return joint_torques(TERMS[0], CONTACTS.positions, pressing) + TERMS[2]
 
 
 def first_doubt(sensed, applied, ticks=100, latency=0.0):

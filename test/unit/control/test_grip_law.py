@@ -35,7 +35,7 @@ def pressing(bench, grasp_force, theta):
     before = tips._replace(positions=tips.positions - tips.linear @ moved)
     positions, frames = carried_along(before, touch.positions, touch.rotations, moved)
     forces = in_palm(frames, bench.optimal, grasp_force)
-    return joint_torques(*tips, positions, forces)
+    return joint_torques(tips, positions, forces)
 
 
 def test_it_presses_from_its_posture_which_a_hold_keeps():
@@ -101,7 +101,7 @@ def test_it_rejects_poses_and_a_law_that_needs_three_axes_holds_without_them():
     bench = gripping()
     bench.step(forces=normal(bench))
     with pytest.raises(PoseError, match="normal forces do not show a load; use the law optimal"):
-        bench.controller.command(bench.target(0.01, 0.0, 0.0))
+        bench.controller.targets.command(bench.target(0.01, 0.0, 0.0))
     bench = Bench(law__observer__time=0.1)
     command = bench.step(2, forces=normal(bench), applied=REST)
     assert command.mode is Mode.HOLD and "tangential forces" in command.reason

@@ -185,7 +185,7 @@ def test_a_move_ends_where_a_contact_nears_the_rim_and_may_go_back():
         if "the move ends here: it brings the contact of thumb to the rim" in command.reason:
             stops.append(row)
         if row == 2200:
-            loop.controller.command(home)
+            loop.controller.targets.command(home)
         loop.advance(command.torque)
     assert len(stops) == 1 and stops[0] < 2150  # it stays there until it goes back
     assert margins[stops[0]] == pytest.approx(0.05 * np.pi, abs=0.02)

@@ -166,7 +166,7 @@ def bench():
 def test_of_several_poses_each_is_judged_once(bench, checks):
     bench.step()
     for ticks in (3, 5):
-        bench.controller.command(along(bench, 0.01 * ticks), stamp=ticks * TICK)
+        bench.controller.targets.command(along(bench, 0.01 * ticks), stamp=ticks * TICK)
     found = []
     for _ in range(6):
         bench.step()
@@ -178,12 +178,12 @@ def test_of_several_poses_each_is_judged_once(bench, checks):
 def test_a_pose_that_is_said_again_and_again_is_judged_once(bench, checks):
     bench.step()
     for _ in range(5):
-        bench.controller.command(along(bench, 0.05))
+        bench.controller.targets.command(along(bench, 0.05))
         bench.step()
     assert len(checks) == 1
     turned = bench.target(0.05, 0.0, 0.0, turn=(0.0, 0.0, 0.01))
     for other in (turned, along(bench, 0.04)):
-        bench.controller.command(other)
+        bench.controller.targets.command(other)
         bench.step()
     assert len(checks) == 3
 
@@ -191,9 +191,9 @@ def test_a_pose_that_is_said_again_and_again_is_judged_once(bench, checks):
 def test_one_tick_judges_one_pose_the_newest_first(bench, checks):
     """All poses came before the first grasp; the first one in reach replaces the older ones."""
     for shift in (0.01, 0.02):
-        bench.controller.command(along(bench, shift))
+        bench.controller.targets.command(along(bench, shift))
     for _ in range(2):
-        bench.controller.command(bench.target(*FAR))
+        bench.controller.targets.command(bench.target(*FAR))
     for refused in range(2):
         command = bench.step()
         assert command.mode is Mode.DRIVE and "out of reach" in command.reason
@@ -205,12 +205,12 @@ def test_one_tick_judges_one_pose_the_newest_first(bench, checks):
 
 
 def test_what_is_said_while_older_poses_wait_comes_after_them(bench, checks):
-    bench.controller.command(along(bench, 0.01), stamp=1)
-    bench.controller.command(bench.target(*FAR), stamp=2)
+    bench.controller.targets.command(along(bench, 0.01), stamp=1)
+    bench.controller.targets.command(bench.target(*FAR), stamp=2)
     bench.stamp = TICK
     assert "out of reach" in bench.step().reason
-    bench.controller.command(along(bench, 0.02))
-    bench.controller.command(along(bench, 0.03), stamp=4 * TICK)
+    bench.controller.targets.command(along(bench, 0.02))
+    bench.controller.targets.command(along(bench, 0.03), stamp=4 * TICK)
     bench.step()
     assert bench.shift[0] == pytest.approx(0.02)
     bench.step()
@@ -221,15 +221,15 @@ def test_what_is_said_while_older_poses_wait_comes_after_them(bench, checks):
 def test_a_new_grasp_judges_what_waits_anew(bench, checks):
     bench.step()
     waiting, again = along(bench, 0.04), along(bench, 0.05)
-    bench.controller.command(waiting, stamp=4 * TICK)
+    bench.controller.targets.command(waiting, stamp=4 * TICK)
     bench.step()
-    bench.controller.command(again, stamp=9 * TICK)
+    bench.controller.targets.command(again, stamp=9 * TICK)
     bench.controller.release()
     bench.step()
     bench.controller.grasp()
     bench.step()
     assert not bench.controller.is_open and len(checks) == 2
-    bench.controller.command(again, stamp=8 * TICK)
+    bench.controller.targets.command(again, stamp=8 * TICK)
     for _ in range(3):
         bench.step()
     assert [id(target) for target in checks[2:]] == [id(again), id(waiting)]
@@ -238,8 +238,8 @@ def test_a_new_grasp_judges_what_waits_anew(bench, checks):
 
 def test_a_reset_forgets_what_was_in_reach(bench, checks):
     bench.step()
-    bench.controller.command(along(bench, 0.05))
+    bench.controller.targets.command(along(bench, 0.05))
     bench.controller.reset()
     bench.step()
-    bench.controller.command(along(bench, 0.05))
+    bench.controller.targets.command(along(bench, 0.05))
     assert len(checks) == 2

@@ -8,7 +8,7 @@ from support.plants import plant
 
 from tactile_hand_ros.control.contact import Contacts
 from tactile_hand_ros.control.grasp import carried_along
-from tactile_hand_ros.control.sensing import TouchAge
+from tactile_hand_ros.control.sensing import LateTouch
 
 HAND, START = plant().hand, plant().state.theta
 LARGEST, ERROR, TICK = 0.03, 1e-4, 0.002  # s, rad, s
@@ -25,14 +25,15 @@ def angles(time, speed):
 
 def found(true, *, speed=0.3, noise=0.0, age=0.0, samples=300):
     """Return the age found for contacts that are `true` s old."""
-    watch, random = TouchAge(3), np.random.default_rng(4)
+    watch, random = LateTouch(HAND), np.random.default_rng(4)
     watch.age = age
     for time in TICK * np.arange(samples):
         theta, rates = angles(time, speed)
         tips, before = HAND.fingertips(theta), HAND.fingertips(angles(time - true, speed)[0])
         measured = before.positions + HAND.radii[:, None] * NORMALS + OFFSET
         contacts = Contacts(measured + random.normal(0.0, noise, (3, 3)), FRAMES)
-        watch.step(tips, rates, contacts, HAND.radii, LARGEST, ERROR)
+        seen = theta, rates, tips, contacts, np.ones(3, dtype=bool)
+        watch.step(round(1e9 * time), *seen, TICK, LARGEST, ERROR)
     return watch.age
 
 

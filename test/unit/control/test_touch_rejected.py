@@ -160,7 +160,7 @@ def test_the_grasp_force_comes_before_the_drive_and_that_before_the_damping():
 
     def torque(force, k_p=1e-12, damping=1e-12):
         bench = Bench(law__k_p=k_p, law__k_o=1e-12, law__damping=damping)
-        bench.controller.command(bench.target(0.0, 0.0, 0.03))
+        bench.controller.targets.command(bench.target(0.0, 0.0, 0.03))
         return bench.step(rates=rates, grasp_force=force).torque
 
     force, drive = torque(40.0), torque(0.0, 250.0)
@@ -179,7 +179,7 @@ def test_the_grasp_force_comes_before_the_drive_and_that_before_the_damping():
 def integrated(*pauses):
     """Return the integral force along the error after ticks with pauses, s, between them."""
     bench = Bench(law__integral__k_p=1.0)
-    bench.controller.command(bench.target(0.02, 0.0, 0.0))
+    bench.controller.targets.command(bench.target(0.02, 0.0, 0.0))
     bench.step()
     for pause in pauses:
         bench.stamp += round(1e9 * pause) - TICK
@@ -201,12 +201,12 @@ def test_a_thousand_poses_may_wait_and_one_is_judged_in_a_tick_or_a_silence():
     far = bench.target(0.0, 0.0, 2.0)
     for following in (bench.step, lambda: bench.controller.hold(bench.theta, REST, "silence")):
         with pytest.raises(PoseError):
-            bench.controller.command(far)
-        bench.controller.command(far)
+            bench.controller.targets.command(far)
+        bench.controller.targets.command(far)
         bench.controller.targets.forget_after(-1)
         following()
     with pytest.raises(PoseError):
-        bench.controller.command(far)
+        bench.controller.targets.command(far)
 
 
 def test_open_fingers_take_no_torque_over_though_the_grasp_was_forgotten():

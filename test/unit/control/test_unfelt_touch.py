@@ -95,7 +95,7 @@ def test_what_a_straight_finger_does_not_show_is_not_made_up_from_its_noise(tmp_
     noise = 0.02 * np.array([1.0, -1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
     touch = UnfeltTouch(hand)
     touch.feel(theta, contacts, FORCES)
-    torque = joint_torques(*tips, contacts.positions, press) + noise
+    torque = joint_torques(tips, contacts.positions, press) + noise
     _, forces = touch.filled(theta, contacts, FORCES, FIRST, torque)
     assert 0.01 < np.abs(forces - FORCES).max() < 1.0
 
@@ -104,7 +104,7 @@ def test_what_the_torques_of_two_joints_do_not_show_stays_as_it_was_felt(tmp_pat
     theta = np.array([0.3, 0.9, 0.1, 0.4, 0.8, -0.1, 0.5, 0.7])
     hand, tips, contacts = pressed(tmp_path, [2, 3, 3], theta)
     press = in_palm(contacts.rotations, FORCES, 1.0)
-    torque = joint_torques(*tips, contacts.positions, press)
+    torque = joint_torques(tips, contacts.positions, press)
     touch = UnfeltTouch(hand)
     touch.feel(theta, contacts, FORCES + [[0.4, -0.7, 0.9], [1.0, 1.0, 1.0], [2.0, 2.0, 2.0]])
     _, forces = touch.filled(theta, contacts, FORCES, ~FIRST, torque)

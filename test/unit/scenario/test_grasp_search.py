@@ -78,7 +78,7 @@ def test_what_is_found_touches_one_face_and_the_opposite_and_can_bear_its_load(
     spare = hand.effort_limits - np.abs(hand.gravity_torque(best.theta))
     pulls = (wrench_forces(points, wrench) for wrench in np.pad(ways, ((0, 0), (0, 3))))
     pushed = best.grasp_force * pressing
-    used = np.array([joint_torques(*tips, points, pushed + pull) for pull in pulls])
+    used = np.array([joint_torques(tips, points, pushed + pull) for pull in pulls])
     assert 0.95 < (np.abs(used) / spare).max() <= 1.0 + 1e-9
 
 

@@ -105,7 +105,7 @@ def without_touch(
     regulator = SlipRegulator(scenario.slip_regulator, 3)
     controller = Controller(scenario.manipulation_controller)
     for target in scenario.targets:
-        controller.command(target.target(), target.stamp)
+        controller.targets.command(target.target(), target.stamp)
     answers = ("forces", "grasp_force", "friction", "slip_evidence", "grip", "command")
     for row, stamp in enumerate(record.stamps.tolist()):
         theta, rates, forces = record.theta[row], record.rates[row], record.forces[row]
@@ -295,7 +295,7 @@ def test_poses_that_wait_and_overtake_each_other_are_followed_as_they_were(tmp_p
     for row in range(ticks):
         for received, stamp, position in sent:
             if received == row:
-                loop.controller.command(Target(np.array(position), np.eye(3)), stamp)
+                loop.controller.targets.command(Target(np.array(position), np.eye(3)), stamp)
         loop.tick(record, row)
         if loop.controller.targets.accepted is not None:
             position = loop.controller.targets.accepted.position
