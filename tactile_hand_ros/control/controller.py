@@ -343,7 +343,7 @@ class Controller:
         """
         if self._regrasp.active:
             self._regrasp.close()
-        elif self._grasp is None:
+        elif self.targets.grasp is None:
             raise GraspError(
                 "no grasp was made yet, so the way to close is unknown; bring all fingers to the "
                 "object, and it is held"
