@@ -119,7 +119,7 @@ def from_flat(model: type[C], values: Mapping[str, Any], source: str = "") -> C:
             node = node.setdefault(parent, {})
             if not isinstance(node, dict):
                 message = f"unknown key '{name}'{did_you_mean(name, leaves(model))}"
-                raise ConfigurationError(after_source(source) + message, source=source, place=name)
+                raise ConfigurationError(after_source(source) + message)
         node[last] = value
     return validate(model, tree, source)
 
