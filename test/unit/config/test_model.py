@@ -13,11 +13,10 @@ from tactile_hand_ros.config.model import (
     flatten,
     from_flat,
     leaves,
-    load_yaml,
     param,
     validate,
 )
-from tactile_hand_ros.config.plain_yaml import parse_changes
+from tactile_hand_ros.config.plain_yaml import parse_changes, read_yaml
 from tactile_hand_ros.errors import ConfigurationError
 
 
@@ -54,7 +53,7 @@ class Example(Config):
 def load(tmp_path, text):
     path = tmp_path / "example.yaml"
     path.write_text(text)
-    return load_yaml(path, Example)
+    return validate(Example, read_yaml(path), str(path))
 
 
 def test_an_empty_file_gives_the_defaults(tmp_path):
