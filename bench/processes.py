@@ -12,6 +12,7 @@ import tempfile
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
+from unittest import mock
 
 from tactile_hand_ros.ros.middleware import socket_settings
 from tactile_hand_ros.ros.parameters import to_params_yaml
@@ -38,7 +39,8 @@ def isolated_domain() -> Iterator[int]:
     """
     with _reserve() as domain:
         values = {"ROS_DOMAIN_ID": str(domain), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
-        with _environment({**values, **socket_settings({**os.environ, **values})}):
+        values |= socket_settings({**os.environ, **values})
+        with mock.patch.dict(os.environ, values):
             yield domain
 
 
@@ -53,18 +55,6 @@ def _reserve() -> Iterator[int]:
             yield domain
             return
     raise RuntimeError(f"all ROS domains from {_DOMAINS[0]} to {_DOMAINS[-1]} are in use")
-
-
-@contextlib.contextmanager
-def _environment(values: Mapping[str, str]) -> Iterator[None]:
-    before = {name: os.environ[name] for name in values if name in os.environ}
-    os.environ.update(values)
-    try:
-        yield
-    finally:
-        for name in values:
-            os.environ.pop(name, None)
-        os.environ.update(before)
 
 
 class CapturedProcess(ChildProcess):

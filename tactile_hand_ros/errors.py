@@ -32,18 +32,7 @@ class TactileHandError(Exception):
 
 
 class ConfigurationError(TactileHandError):
-    """An invalid configuration file or value.
-
-    Attributes:
-        source: File or interface of the value, empty if unknown.
-        place: Dotted key inside the source, empty for the source itself.
-    """
-
-    def __init__(self, message: str, *, source: str = "", place: str = "") -> None:
-        """Store the text, source and place."""
-        super().__init__(message)
-        self.source = source
-        self.place = place
+    """An invalid configuration file or value."""
 
 
 class MessageError(TactileHandError):

@@ -116,7 +116,8 @@ def read_messages(
         BagError: If the bag cannot be read.
     """
     with open_bag(path) as reader:
-        for connection, log_time, data in _messages(reader, topics):
+        chosen = [c for c in reader.connections if topics is None or c.topic in topics]
+        for connection, log_time, data in iterate(reader, chosen):
             yield RecordedMessage(connection.topic, log_time, bytes(data), connection.msgtype)
 
 
@@ -138,10 +139,9 @@ def read_topics(path: Path | str, topics: Collection[str]) -> dict[str, TopicMes
         BagError: If the bag cannot be read.
     """
     found = {topic: TopicMessages([], []) for topic in topics}
-    with open_bag(path) as reader:
-        for connection, log_time, data in _messages(reader, topics):
-            found[connection.topic].log_times.append(log_time)
-            found[connection.topic].data.append(bytes(data))
+    for message in read_messages(path, topics):
+        found[message.topic].log_times.append(message.log_time)
+        found[message.topic].data.append(message.data)
     return found
 
 
@@ -157,12 +157,6 @@ def decode(type_name: str, data: bytes) -> Any:
         raise BagError(
             f"A message is not a valid {type_name}: {error}; record it again."
         ) from error
-
-
-def _messages(
-    reader: AnyReader, topics: Collection[str] | None
-) -> Iterator[tuple[Connection, int, bytes]]:
-    return iterate(reader, [c for c in reader.connections if topics is None or c.topic in topics])
 
 
 def iterate(

@@ -7,6 +7,7 @@ import contextlib
 import os
 import shutil
 from bisect import bisect_left, bisect_right
+from collections.abc import Iterator
 from pathlib import Path
 from typing import BinaryIO, NamedTuple
 
@@ -100,12 +101,37 @@ def _index(stream: BinaryIO) -> Summary:
     return Summary()
 
 
+def _records(stream: BinaryIO, index: Summary) -> Iterator[McapRecord | int]:
+    """Yield the records of a file up to its index, and the size of each damaged part, bytes.
+
+    A record that runs over the start of a chunk, or ends the data before one, is damaged.
+    """
+    size, begin = stream.seek(0, os.SEEK_END), len(_MAGIC)
+    starts = (at.chunk_start_offset for at in index.chunk_indexes)
+    chunks = sorted(start for start in starts if start < size)
+    while begin < size:
+        end = stream.seek(begin)
+        reader = StreamReader(stream, skip_magic=True, emit_chunks=True, record_size_limit=LARGEST)
+        with contextlib.suppress(Exception):  # damaged data can fail anywhere in the parsers
+            for record in reader.records:
+                before, after = bisect_right(chunks, end), bisect_left(chunks, stream.tell())
+                if isinstance(record, DataEnd) and after == len(chunks):
+                    return
+                if isinstance(record, DataEnd) or after > before:
+                    break
+                end = stream.tell()
+                yield record
+        begin = next((at for at in chunks if at > end), size)
+        if begin > end:
+            yield begin - end
+
+
 def _last_received(files: list[Path]) -> int:
     """Return when the last complete chunk of a bag ends, ns; 0 without one."""
     found = 0
     for file in files:
-        with file.open("rb") as stream, contextlib.suppress(Exception):  # truncated, as in `add`
-            for record in StreamReader(stream, emit_chunks=True, record_size_limit=LARGEST).records:
+        with file.open("rb") as stream:
+            for record in _records(stream, _index(stream)):
                 if isinstance(record, Chunk):
                     found = max(found, record.message_end_time)
     return found
@@ -130,33 +156,12 @@ class _Copy:
         with file.open("rb") as stream:
             if not _MAGIC.startswith(stream.read(len(_MAGIC))):
                 raise BagError(f"The file {file} is not an MCAP file; only those can be recovered.")
-            begin, self._index = stream.tell(), _index(stream)
-            size, found = file.stat().st_size, self._index.chunk_indexes
-            chunks = sorted(at.chunk_start_offset for at in found if at.chunk_start_offset < size)
-            while (damage := self._add_from(stream, begin, chunks)) is not None:
-                begin = next((at for at in chunks if at > damage), size)
-                self.left += begin - damage
-
-    def _add_from(self, stream: BinaryIO, begin: int, chunks: list[int]) -> int | None:
-        """Add records from a place in a file on; return where one is damaged, None if none is.
-
-        A record that runs over the start of a chunk, or ends the data before one, is damaged.
-        """
-        end = stream.seek(begin)
-        records = StreamReader(
-            stream, skip_magic=True, emit_chunks=True, record_size_limit=LARGEST
-        ).records
-        while True:
-            try:
-                record = next(records)
-            except Exception:  # truncated; damaged data can fail anywhere in the parsers
-                return end if end < stream.seek(0, os.SEEK_END) else None
-            before, end = end, stream.tell()
-            if isinstance(record, DataEnd):
-                return before if bisect_left(chunks, end) < len(chunks) else None
-            if bisect_left(chunks, end) > bisect_right(chunks, before):
-                return before
-            self._add_record(record)
+            self._index = _index(stream)
+            for record in _records(stream, self._index):
+                if isinstance(record, int):
+                    self.left += record
+                else:
+                    self._add_record(record)
 
     def _add_record(self, record: McapRecord) -> None:
         """Add a record, or count its bytes if it is damaged."""

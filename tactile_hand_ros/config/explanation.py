@@ -25,10 +25,8 @@ def explain(
 ) -> ConfigurationError:
     """Turn pydantic's first finding into a sentence: place, given value, allowed values."""
     finding = error.errors(include_url=False)[0]
-    place = _place(finding["loc"])
-    origin = source if isinstance(source, str) else source(place)
-    sentence = after_source(origin) + _sentence(finding, model)
-    return ConfigurationError(sentence, source=origin, place=place)
+    origin = source if isinstance(source, str) else source(_place(finding["loc"]))
+    return ConfigurationError(after_source(origin) + _sentence(finding, model))
 
 
 def after_source(source: str) -> str:

@@ -9,8 +9,8 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, field_validator, model_validator
 
-from tactile_hand_ros.config.model import Config, load_yaml, param
-from tactile_hand_ros.config.plain_yaml import find_file
+from tactile_hand_ros.config.model import Config, param, validate
+from tactile_hand_ros.config.plain_yaml import find_file, read_yaml
 from tactile_hand_ros.errors import HandModelError
 
 _NAME = "^[A-Za-z_][A-Za-z0-9_]{0,59}$"
@@ -186,4 +186,5 @@ def load_hand_config(name: str) -> HandConfig:
             "index, tip: LINK}]}`"
         )
     path = find_file("hand", name)
-    return load_yaml(path, HandConfig).model_copy(update={"folder": path.resolve().parent})
+    config = validate(HandConfig, read_yaml(path), str(path))
+    return config.model_copy(update={"folder": path.resolve().parent})

@@ -7,7 +7,6 @@ import math
 import typing
 from collections.abc import Mapping, Sequence
 from operator import attrgetter
-from pathlib import Path
 from typing import Any, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, ValidationInfo, field_validator
@@ -22,7 +21,6 @@ from tactile_hand_ros.config.explanation import (
     explain,
     unit_of,
 )
-from tactile_hand_ros.config.plain_yaml import read_yaml
 from tactile_hand_ros.errors import ConfigurationError
 
 C = TypeVar("C", bound="Config")
@@ -119,7 +117,7 @@ def from_flat(model: type[C], values: Mapping[str, Any], source: str = "") -> C:
             node = node.setdefault(parent, {})
             if not isinstance(node, dict):
                 message = f"unknown key '{name}'{did_you_mean(name, leaves(model))}"
-                raise ConfigurationError(after_source(source) + message, source=source, place=name)
+                raise ConfigurationError(after_source(source) + message)
         node[last] = value
     return validate(model, tree, source)
 
@@ -134,15 +132,6 @@ def validate(model: type[C], data: Any, source: Source = "") -> C:
         return model.model_validate(data)
     except ValidationError as error:
         raise explain(error, model, source) from None
-
-
-def load_yaml(path: str | Path, model: type[C]) -> C:
-    """Read a YAML file into a configuration.
-
-    Raises:
-        ConfigurationError: If the file cannot be read, is not YAML or does not fit the model.
-    """
-    return validate(model, read_yaml(path), str(path))
 
 
 _FULL_TURN = 2.0 * math.pi + 1e-3  # rad; tolerates a rounded value

@@ -69,7 +69,7 @@ def read_text(path: str | Path, largest: int = LARGEST) -> str:
 
 def _unreadable(path: str | Path, reason: str) -> ConfigurationError:
     name = str(path).encode(errors="backslashreplace").decode()
-    return ConfigurationError(f"{name}: cannot be read: {reason}.", source=name)
+    return ConfigurationError(f"{name}: cannot be read: {reason}.")
 
 
 def read_yaml(path: str | Path) -> Any:
@@ -116,8 +116,7 @@ def parse_yaml(text: str, source: str = "") -> Any:
 
 
 def _not_yaml(source: str, place: str, problem: str) -> ConfigurationError:
-    message = f"{after_source(source)}{place} is not valid YAML: {problem}."
-    return ConfigurationError(message, source=source, place=place)
+    return ConfigurationError(f"{after_source(source)}{place} is not valid YAML: {problem}.")
 
 
 def parse_changes(changes: Sequence[str]) -> dict[str, Any]:

@@ -243,8 +243,7 @@ class ManipulationControllerNode(TactileNode[ControllerConfig]):
         if config.law.observer.time > 0.0 and not self._takes_forces:
             raise ConfigurationError(
                 f"law.observer.time = {config.law.observer.time}: the controller was started with "
-                "0 and does not subscribe to forces; restart it with this value",
-                place="law.observer.time",
+                "0 and does not subscribe to forces; restart it with this value"
             )
 
     def on_config(self, config: ControllerConfig) -> None:

@@ -104,9 +104,7 @@ class ConfigParameters(Generic[C]):
         for name in unknown:
             hint = did_you_mean(name, list(self._fields))
             if any(word.startswith(f"{name}:=") for word in sys.argv):
-                raise ConfigurationError(
-                    f"{source}: unknown parameter '{name}'{hint}", source=source, place=name
-                )
+                raise ConfigurationError(f"{source}: unknown parameter '{name}'{hint}")
             self._node.get_logger().warning(f"ignored the unknown parameter '{name}'{hint}")
 
     def _declare(self) -> None:

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import fields, replace
@@ -84,27 +83,25 @@ class RunData:
     def metrics(self) -> Metrics:
         """The results as numbers."""
         found = metrics(self.record, self.scenario, releases=releases(self.requests))
-        link, since = self._link_inside()
-        found = replace(found, link_inside=link, link_inside_s=since)
-        return replace(found, goal_reached=None) if self.steered else found
-
-    def _link_inside(self) -> tuple[str, float]:
-        """Return the result of `derived.link_inside`; empty and NaN without hand or object."""
+        if self.steered:
+            found = replace(found, goal_reached=None)
         with suppress(ObjectModelError):  # its mesh stayed on the machine of the run
             if self.scenario is not None and self._hand[0] is not None:
                 links = LinkCollisions(self._hand[0], self.scenario.plant.object.solid())
-                return link_inside(self.record, links)
-        return "", math.nan
+                link, since = link_inside(self.record, links)
+                found = replace(found, link_inside=link, link_inside_s=since)
+        return found
 
     @property
     def headline(self) -> str:
         """The outcome of the run in a few words; empty if no goal applies."""
         return self.metrics.headline(steered=self.steered)
 
-    @property
+    @cached_property
     def assumptions(self) -> list[Assumption]:
         """The assumptions A1 to A7 and when each held; empty if the hand is unknown."""
-        return self._assumptions[0]
+        hand, _ = self._hand
+        return [] if hand is None else assumptions(self.record, hand)
 
     @property
     def assumptions_problem(self) -> str:
@@ -112,12 +109,7 @@ class RunData:
 
         On another machine, the hand file may be missing or different.
         """
-        return self._assumptions[1]
-
-    @cached_property
-    def _assumptions(self) -> tuple[list[Assumption], str]:
-        hand, problem = self._hand
-        return ([] if hand is None else assumptions(self.record, hand)), problem
+        return self._hand[1]
 
     @cached_property
     def _hand(self) -> tuple[Hand | None, str]:

@@ -115,8 +115,7 @@ def _check_gains(scenario: Scenario, grasp: _Grasp, body: Array) -> None:
         if (given := getattr(law, name)) > largest:
             raise ConfigurationError(
                 f"{name} = {given:g} is unstable at {1.0 / tick:g} Hz for this hand; at most "
-                f"{largest:.2g}, and half of that or less where commands are late",
-                place=f"manipulation_controller.law.{name}",
+                f"{largest:.2g}, and half of that or less where commands are late"
             )
 
 
@@ -128,8 +127,7 @@ def _check_posture(hand: Hand, theta: Array) -> None:
         i = int(beyond[0])
         raise ConfigurationError(
             f"initial_joints = {theta[i]:.3g} rad of {hand.joint_names[i]} is beyond its limits,"
-            f" {lower[i]:.3g} to {upper[i]:.3g} rad; close the hand within them",
-            place="plant.initial_joints",
+            f" {lower[i]:.3g} to {upper[i]:.3g} rad; close the hand within them"
         )
 
 
@@ -145,8 +143,7 @@ def _check_mode(scenario: Scenario) -> None:
     if scenario.tactile_sensor.axes == "normal" and name != "grip":
         raise ConfigurationError(
             f"the law '{name}' and its slip prevention need forces in three axes, but "
-            "tactile_sensor.axes is normal; set manipulation_controller.law.name to grip",
-            place="manipulation_controller.law.name",
+            "tactile_sensor.axes is normal; set manipulation_controller.law.name to grip"
         )
     if name == "grip" and scenario.targets:
         raise PoseError(NO_POSES)

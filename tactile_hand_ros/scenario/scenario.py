@@ -324,7 +324,5 @@ def _check_times(scenario: Scenario, file: str, changes: Mapping[str, Any]) -> N
         if late:
             raise ConfigurationError(
                 f"{file}: one of {place} comes at {late[0]:g} s, but the run ends at "
-                f"{scenario.duration:g} s; make the run longer",
-                source=file,
-                place=place,
+                f"{scenario.duration:g} s; make the run longer"
             )

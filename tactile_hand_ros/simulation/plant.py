@@ -170,8 +170,7 @@ class Plant:
             return np.tile(given, k)
         raise ConfigurationError(
             f"initial_joints has {len(given)} angles; expected {m}, one per joint"
-            + (f", or {m // k} for every finger" if m % k == 0 else ""),
-            place="initial_joints",
+            + (f", or {m // k} for every finger" if m % k == 0 else "")
         )
 
     def reset(self) -> PlantState:

@@ -127,8 +127,7 @@ class TactileSensorConfig(Config):
         if len(self.faults) not in (0, fingers):
             raise ConfigurationError(
                 f"faults = {self.faults}: expected one of none, off, stuck and wrong for each of "
-                f"{fingers} fingers, or an empty list",
-                place="faults",
+                f"{fingers} fingers, or an empty list"
             )
 
 

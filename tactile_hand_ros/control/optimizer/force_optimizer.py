@@ -69,8 +69,7 @@ class ForceOptimizerConfig(Config):
         if len(given) not in (3, 3 * fingers) or (given <= 0.0).any():
             raise ConfigurationError(
                 f"weights = {self.weights}: expected 3 or {3 * fingers} positive numbers, the "
-                f"diagonal of W for {fingers} contacts",
-                place="weights",
+                f"diagonal of W for {fingers} contacts"
             )
         return np.tile(given, fingers) if len(given) == 3 else given
 
@@ -83,8 +82,7 @@ class ForceOptimizerConfig(Config):
         if self.minimum_normal * fingers >= 1.0:
             raise ConfigurationError(
                 f"minimum_normal = {self.minimum_normal}: {fingers} contacts bear fractions that "
-                f"add up to 1, so that it must be below {1.0 / fingers:.3g}",
-                place="minimum_normal",
+                f"add up to 1, so that it must be below {1.0 / fingers:.3g}"
             )
 
 

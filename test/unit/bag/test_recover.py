@@ -283,6 +283,11 @@ def test_the_last_seconds_are_those_received_last_and_all_of_a_latched_topic(tmp
         writer.write(latched, payload(0), 10**9, 10**9)
         for i in range(101):
             writer.write(ticks, payload(i), 10**9 + 10**8 * i, 0)
-    kept = recover(tmp_path / "run", tmp_path / "out", last=2.0).target
-    sent = [(m.topic, m.data) for m in read_messages(kept)]
-    assert sent == [("/latched", payload(0)), *(("/ticks", payload(i)) for i in range(80, 101))]
+    expected = [("/latched", payload(0)), *(("/ticks", payload(i)) for i in range(80, 101))]
+    file = tmp_path / "run" / "run_0.mcap"
+    for out in ("whole", "damaged"):
+        kept = recover(tmp_path / "run", tmp_path / out, last=2.0).target
+        assert [(m.topic, m.data) for m in read_messages(kept)] == expected
+        with file.open("rb") as stream:
+            chunk = make_reader(stream).get_summary().chunk_indexes[1]
+        damage(file, lambda data, at=chunk.chunk_start_offset: data.__setitem__(at + 8, 1))

@@ -13,11 +13,10 @@ from tactile_hand_ros.config.model import (
     flatten,
     from_flat,
     leaves,
-    load_yaml,
     param,
     validate,
 )
-from tactile_hand_ros.config.plain_yaml import parse_changes
+from tactile_hand_ros.config.plain_yaml import parse_changes, read_yaml
 from tactile_hand_ros.errors import ConfigurationError
 
 
@@ -54,7 +53,7 @@ class Example(Config):
 def load(tmp_path, text):
     path = tmp_path / "example.yaml"
     path.write_text(text)
-    return load_yaml(path, Example)
+    return validate(Example, read_yaml(path), str(path))
 
 
 def test_an_empty_file_gives_the_defaults(tmp_path):
@@ -73,44 +72,42 @@ def test_values_are_read_into_their_types(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("text", "place", "words"),
+    ("text", "words"),
     [
-        ("body: {mas: 1}", "body.mas", ["'mas' in body", "did you mean 'mass'?", "mass, size"]),
-        ("body: {mass: -1}", "body.mass", ["body.mass is -1", "should be greater than 0 [kg]"]),
-        ("body: {size: 1.5}", "body.size", ["is 1.5", "should be less than or equal to 1 [m]"]),
-        ("law: best", "law", ["law is 'best'", "'proposed' or 'kawamura'"]),
-        ("gains: [1, .nan]", "gains[1]", ["gains[1] is nan", "finite number"]),
-        ("gains: [1, -2]", "gains[1]", ["gains[1] is -2", "greater than or equal to 0"]),
-        ("body: {mass: true}", "body.mass", ["true or false is not a number"]),
-        ("fingers: four", "fingers", ["is 'four'", "should be a valid integer"]),
-        ("noisy: perhaps", "noisy", ["is 'perhaps'", "should be a valid boolean"]),
-        ("pushes: [{kind: shove}]", "pushes[0].kind", ["is 'shove'", "'step' or 'ramp'"]),
-        ("pushes: [{knd: step}]", "pushes[0].knd", ["'knd' in pushes[0]", "did you mean 'kind'"]),
-        ("- 1", "", ["the content is [1]", "should be a valid dictionary"]),
-        ("noisy: true\nfingers: 5", "", ["noise is supported for up to 4 fingers"]),
-        ("law: [", "line 1", ["not valid YAML"]),
-        ("law: {[1, 2]: 3}", "line 1, column 7", ["unhashable key"]),
-        ("law: 2024-13-01", "this file", ["a value is invalid (month must be in 1..12)"]),
-        ("law: !!python/object:os.system ''", "line 1", ["could not determine a constructor"]),
-        ("gains: " + 50_000 * "[", "this file", ["nested too deeply"]),
+        ("body: {mas: 1}", ["'mas' in body", "did you mean 'mass'?", "mass, size"]),
+        ("body: {mass: -1}", [": body.mass is -1", "should be greater than 0 [kg]"]),
+        ("body: {size: 1.5}", [": body.size is 1.5", "should be less than or equal to 1 [m]"]),
+        ("law: best", [": law is 'best'", "'proposed' or 'kawamura'"]),
+        ("gains: [1, .nan]", [": gains[1] is nan", "finite number"]),
+        ("gains: [1, -2]", [": gains[1] is -2", "greater than or equal to 0"]),
+        ("body: {mass: true}", [": body.mass is invalid", "true or false is not a number"]),
+        ("fingers: four", [": fingers is 'four'", "should be a valid integer"]),
+        ("noisy: perhaps", [": noisy is 'perhaps'", "should be a valid boolean"]),
+        ("pushes: [{kind: shove}]", [": pushes[0].kind is 'shove'", "'step' or 'ramp'"]),
+        ("pushes: [{knd: step}]", ["'knd' in pushes[0]", "did you mean 'kind'"]),
+        ("- 1", [": the content is [1]", "should be a valid dictionary"]),
+        ("noisy: true\nfingers: 5", [": noise is supported for up to 4 fingers"]),
+        ("law: [", [": line 1", "not valid YAML"]),
+        ("law: {[1, 2]: 3}", [": line 1, column 7", "unhashable key"]),
+        ("law: 2024-13-01", [": this file", "a value is invalid (month must be in 1..12)"]),
+        ("law: !!python/object:os.system ''", [": line 1", "could not determine a constructor"]),
+        ("gains: " + 50_000 * "[", [": this file", "nested too deeply"]),
     ],
 )
-def test_a_wrong_key_or_value_is_refused_with_its_place(tmp_path, text, place, words):
+def test_a_wrong_key_or_value_is_refused_with_its_place(tmp_path, text, words):
     with pytest.raises(ConfigurationError) as caught:
         load(tmp_path, text)
     message = str(caught.value)
-    assert message.startswith(str(tmp_path / "example.yaml"))
+    assert message.startswith(f"{tmp_path / 'example.yaml'}: ")
     for word in words:
         assert word in message
-    assert caught.value.place.startswith(place)
-    assert caught.value.source == str(tmp_path / "example.yaml")
     assert "\n" not in message and message.endswith(".")
 
 
 def test_the_first_mistake_is_named(tmp_path):
-    with pytest.raises(ConfigurationError, match="law is 'best'") as caught:
+    with pytest.raises(ConfigurationError, match=": law is 'best'") as caught:
         load(tmp_path, "fingers: 1\nlaw: best\n")
-    assert caught.value.place == "law" and "fingers" not in str(caught.value)
+    assert "fingers" not in str(caught.value)
 
 
 class Limits(Config):
@@ -176,10 +173,8 @@ def test_changes_of_a_command_line_have_a_key_and_a_value():
 
 def test_a_key_below_a_value_is_unknown():
     for key in ("fingers.x", "fingers.x.y"):
-        with pytest.raises(ConfigurationError, match=f"unknown key '{key}'") as caught:
+        with pytest.raises(ConfigurationError, match=f"^there: unknown key '{key}'"):
             from_flat(Example, {"fingers": 3, key: 1}, "there")
-        assert (caught.value.source, caught.value.place) == ("there", key)
-        assert str(caught.value).startswith("there: ")
 
 
 class Turned(Config):
