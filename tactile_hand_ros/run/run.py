@@ -13,7 +13,7 @@ from tactile_hand_ros.bag.provenance import SCENARIO_KEY
 from tactile_hand_ros.bag.reader import TopicMessages, decode, find_bag, read_topics, summarize
 from tactile_hand_ros.config.hand_config import load_hand_config
 from tactile_hand_ros.config.model import validate
-from tactile_hand_ros.config.plain_yaml import parse_yaml, read_yaml
+from tactile_hand_ros.config.plain_yaml import parse_yaml
 from tactile_hand_ros.errors import BagError, ConfigurationError, TactileHandError
 from tactile_hand_ros.report.page import Result
 from tactile_hand_ros.run.events import Asked, read_asked, read_pushes
@@ -26,6 +26,7 @@ from tactile_hand_ros.run.reading import (
     sections,
 )
 from tactile_hand_ros.run.recording import BagMetrics, bag_metrics, latencies
+from tactile_hand_ros.scenario.files import read_layers
 from tactile_hand_ros.scenario.scenario import Scenario, resolved
 
 BAG = "bag"
@@ -120,7 +121,7 @@ class Run(Result):
                 source = f"scenario in {self.bag}"
                 self.scenario = validate(Scenario, parse_yaml(text, source), source)
             elif file is not None:
-                self.scenario = validate(Scenario, read_yaml(str(file)), str(file))
+                self.scenario = validate(Scenario, read_layers(file), str(file))
                 self.scenario_text = resolved(self.scenario)
         except ConfigurationError as error:
             self.scenario_problem = str(error)

@@ -178,6 +178,8 @@ class TestFolders:
         for path in (folder, folder / "bag"):
             assert Run(path).scenario == load_scenario("pinch")
         assert Run(folder).metrics.goal_reached is False
+        (folder / "scenario.yaml").write_text("extends: pinch")
+        assert Run(folder).scenario.plant == load_scenario("pinch").plant
 
     def test_scenario_of_another_version(self, folder):
         (folder / "scenario.yaml").write_text("duratoin: 3.0\n")
@@ -193,7 +195,7 @@ class TestFolders:
         problem = ""
         if case == "lost":
             text = text.replace("hand: paper", "hand: lost/hand.yaml")
-            problem = "'lost/hand.yaml' does not exist"
+            problem = "lost/hand.yaml' does not exist"
         elif case == "other":
             text = text.replace("hand: paper", f"hand: {write_hand(tmp_path, [3, 4, 5])}")
             text = text.replace("layout: three_faces", "layout: ''")
