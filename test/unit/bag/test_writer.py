@@ -13,6 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from mcap.reader import make_reader
 from mcap.records import Metadata
+from mcap_ros2.reader import read_ros2_messages
 from rclpy.qos import QoSProfile
 from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_typestore
@@ -41,7 +42,7 @@ def add_string(writer: BagWriter, topic: str = "/chatter") -> int:
 
 
 @pytest.mark.parametrize("compression", ["none", "lz4", "zstd"])
-def test_rosbags_reads_back_what_was_written(tmp_path, compression):
+def test_other_libraries_read_back_what_was_written(tmp_path, compression):
     sent = [payload(f"message {i}") for i in range(3000)]
     with BagWriter(tmp_path / "run", compression=compression, chunk_size=4096) as writer:
         channel, other = add_string(writer), add_string(writer, "/left/other")
@@ -56,6 +57,8 @@ def test_rosbags_reads_back_what_was_written(tmp_path, compression):
         assert connection.ext.offered_qos_profiles[0].reliability.name == "RELIABLE"
         got = [(time, bytes(data)) for _, time, data in reader.messages([connection])]
     assert got == [(10_000 + i, data) for i, data in enumerate(sent)]
+    texts = [each.ros_msg.data for each in read_ros2_messages(writer.path, topics=["/chatter"])]
+    assert texts == [f"message {i}" for i in range(3000)]
 
 
 def test_mcap_holds_what_rosbag2_puts_there(tmp_path):
