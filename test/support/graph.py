@@ -131,7 +131,7 @@ class Graph:
     def _talk(self) -> None:
         make, profile = self.node.create_publisher, qos.user_qos()
         self.poses = make(PoseStamped, names.DESIRED_POSE, profile)
-        self.grasp_forces = make(Float64, names.USER_GRASP_FORCE, profile)
+        make(Float64, names.USER_GRASP_FORCE, profile)
         self.pushes = make(WrenchStamped, names.PUSH, profile)
         self.node.create_subscription(DiagnosticArray, "/diagnostics", self._on_health, 100)
         self._watch(JointState, names.JOINT_STATES)
@@ -231,11 +231,6 @@ class Graph:
         topics = [names.true_wrench(name) for name in self.fingers]
         forces = [self.newest(topic).wrench.force for topic in topics]
         return np.array([(force.x, force.y, force.z) for force in forces])
-
-    @property
-    def grasp_force(self) -> float:
-        """The newest k_f [N]."""
-        return float(self.newest(names.GRASP_FORCE).wrench.force.y)
 
     def call(self, kind: Any, service: str, request: Any) -> Any:
         """Call a service of the hand and return its response."""
