@@ -37,7 +37,7 @@ class ServoGraph(Graph):
     def start(self, name):
         remap = ["-r", "joint_command:=torque"] if name == names.CONTROLLER else []
         files = parameter_files(self.scenario, self._folder, [name])
-        return self._enter(name, name, "--ros-args", *remap, *files)
+        return self._enter(name, *remap, *files)
 
     def _talk(self):
         super()._talk()
@@ -46,7 +46,7 @@ class ServoGraph(Graph):
         file.write_text(find_file("hand", "ability").read_text() + driver)
         # In lockstep a slow computer must not count as silence.
         where = "-p", f"hand:={file}", "-p", "rate:=10.0", "-r", "joint_command:=torque"
-        self._enter("driver_output", "driver_output", "--ros-args", *where)
+        self._enter("driver_output", *where)
         self.hand = Hand.load("ability")
         self.states = JointState()
         make = self.node.create_subscription
