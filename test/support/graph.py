@@ -28,7 +28,6 @@ from support.messages import pose_message
 from support.spinning import spinning
 from tactile_hand_ros import names
 from tactile_hand_ros.compiled import Array
-from tactile_hand_ros.config.hand_config import load_hand_config
 from tactile_hand_ros.ros import qos
 from tactile_hand_ros.ros.messages import stamp_to_ns
 from tactile_hand_ros.ros.middleware import ros_context
@@ -67,7 +66,6 @@ class Graph:
         """Prepare; entering the context starts a process for each node, or one for all."""
         self.scenario = scenario
         self.namespace = namespace
-        self.fingers = load_hand_config(scenario.hand).finger_names
         self.health: dict[str, Health] = {}
         self.processes: dict[str, CapturedProcess] = {}
         self._domain, self._folder, self._composed = domain, folder, composed
@@ -89,7 +87,11 @@ class Graph:
             self._stack.callback(self.node.destroy_node)
             self._talk()
             self._stack.enter_context(spinning(self.node))
-            self.wait_until_matched()
+            self.wait_for_readers()
+            heard = [self.full(name) for name in NODES]
+            self.wait(
+                lambda: all(all(self._ends(n, SUBSCRIPTIONS).values()) for n in heard), "writers"
+            )
         except BaseException:
             self._stack.close()
             raise
@@ -108,14 +110,14 @@ class Graph:
         """Start or restart all nodes in one process."""
         return self._launch("composed", NODES)
 
-    def _launch(self, executable: str, nodes: Iterable[str], *words: str) -> CapturedProcess:
+    def _launch(self, executable: str, nodes: Iterable[str]) -> CapturedProcess:
         arguments = ["-r", f"__ns:={self.namespace}"] if self.namespace else []
         arguments += parameter_files(self.scenario, self._folder, nodes)
-        return self._enter(executable, executable, "--ros-args", *arguments, "--", *words)
+        return self._enter(executable, *arguments)
 
-    def _enter(self, name: str, executable: str, *arguments: str) -> CapturedProcess:
-        process = self._stack.enter_context(start_executable(executable, *arguments))
-        self.processes[name] = process
+    def _enter(self, executable: str, *arguments: str) -> CapturedProcess:
+        process = start_executable(executable, "--ros-args", *arguments)
+        self.processes[executable] = self._stack.enter_context(process)
         return process
 
     def kill(self, name: str) -> None:
@@ -131,16 +133,14 @@ class Graph:
     def _talk(self) -> None:
         make, profile = self.node.create_publisher, qos.user_qos()
         self.poses = make(PoseStamped, names.DESIRED_POSE, profile)
-        self.grasp_forces = make(Float64, names.USER_GRASP_FORCE, profile)
-        self.pushes = make(WrenchStamped, names.PUSH, profile)
+        make(Float64, names.USER_GRASP_FORCE, profile)
+        make(WrenchStamped, names.PUSH, profile)
         self.node.create_subscription(DiagnosticArray, "/diagnostics", self._on_health, 100)
         self._watch(JointState, names.JOINT_STATES)
         self._watch(PoseStamped, names.OBJECT_POSE)
         self._watch(PoseStamped, names.AUXILIARY_POSE)
         self._watch(WrenchStamped, names.GRASP_FORCE)
         self._watch(PoseArray, names.TRUE_CONTACTS)
-        for name in self.fingers:
-            self._watch(WrenchStamped, names.true_wrench(name))
 
     def _watch(self, kind: Any, topic: str) -> None:
         """Keep the newest message; raw, so that watching costs almost nothing."""
@@ -156,12 +156,6 @@ class Graph:
             values = {pair.key: pair.value for pair in status.values}
             self.health[status.name] = Health(status.level, status.message, values)
 
-    def wait_until_matched(self) -> None:
-        """Wait until every node of the graph, and this one, has matched all its peers."""
-        self.wait_for_readers()
-        heard = [self.full(name) for name in NODES]
-        self.wait(lambda: all(all(self._ends(n, SUBSCRIPTIONS).values()) for n in heard), "writers")
-
     def wait_for_readers(self) -> None:
         """Wait until every topic of this hand has matched all its subscribers."""
         self.wait(self._has_readers, "all readers")
@@ -171,15 +165,10 @@ class Graph:
             topic for name in list(self.health) for topic in self._ends(name, SUBSCRIPTIONS)
         )
         wanted.update(each.topic_name for each in self.node.subscriptions)
-        found = self.published()
-        return bool(found) and all(count == wanted[topic] for topic, count in found.items())
-
-    def published(self) -> dict[str, int]:
-        """Return the number of subscribers of each topic; empty until all nodes have reported."""
         ends = [self._ends(self.full(name), PUBLICATIONS) for name in NODES]
         shared = (names.DIAGNOSTICS, *names.OF_ALL_NODES)
-        told = {topic: n for each in ends for topic, n in each.items() if topic not in shared}
-        return told if all(ends) else {}
+        found = {topic: n for each in ends for topic, n in each.items() if topic not in shared}
+        return all(ends) and all(count == wanted[topic] for topic, count in found.items())
 
     def _ends(self, name: str, end: str) -> dict[str, int]:
         """Return the number of matched peers of a node by topic."""
@@ -214,9 +203,9 @@ class Graph:
         """Simulated time of the newest tick [s]."""
         return 1e-9 * stamp_to_ns(self.newest(names.JOINT_STATES).header.stamp)
 
-    def position(self, topic: str = names.OBJECT_POSE) -> Array:
-        """Return the position in the newest pose on a topic, shape (3,), m."""
-        point = self.newest(topic).pose.position
+    def position(self) -> Array:
+        """Return the position of the object, shape (3,), m."""
+        point = self.newest(names.OBJECT_POSE).pose.position
         return np.array([point.x, point.y, point.z])
 
     @property
@@ -224,18 +213,6 @@ class Graph:
         """True contact points, shape (k, 3), m; NaN where a finger does not touch."""
         points = [pose.position for pose in self.newest(names.TRUE_CONTACTS).poses]
         return np.array([(point.x, point.y, point.z) for point in points])
-
-    @property
-    def forces(self) -> Array:
-        """True contact forces, shape (k, 3), N."""
-        topics = [names.true_wrench(name) for name in self.fingers]
-        forces = [self.newest(topic).wrench.force for topic in topics]
-        return np.array([(force.x, force.y, force.z) for force in forces])
-
-    @property
-    def grasp_force(self) -> float:
-        """The newest k_f [N]."""
-        return float(self.newest(names.GRASP_FORCE).wrench.force.y)
 
     def call(self, kind: Any, service: str, request: Any) -> Any:
         """Call a service of the hand and return its response."""
@@ -251,9 +228,9 @@ class Graph:
         """Let the plant run or pause."""
         assert self.call(SetBool, "plant/run", SetBool.Request(data=on)).success
 
-    def desire(self, position: Any, *, frame: str = "palm", stamp: int = 0) -> None:
+    def desire(self, position: Any) -> None:
         """Command a desired pose without rotation."""
-        self.poses.publish(pose_message(position, np.eye(3), stamp, frame=frame))
+        self.poses.publish(pose_message(position, np.eye(3), 0))
 
     def begin(self, *positions: Any) -> None:
         """Restart at timestamp 0, with desired poses that arrive before the first tick."""

@@ -12,10 +12,9 @@ import pytest
 from support.recorded import write_record
 
 import tactile_hand_ros
-from tactile_hand_ros import Metrics, Run, simulate
+from tactile_hand_ros import simulate
 from tactile_hand_ros.control.laws import OptimalLaw
 from tactile_hand_ros.errors import ConfigurationError
-from tactile_hand_ros.report.page import Result
 
 
 @pytest.mark.parametrize("name", tactile_hand_ros.__all__)
@@ -47,15 +46,6 @@ class Firmer(OptimalLaw):
 
     def internal_torque(self) -> np.ndarray:
         return 1.5 * super().internal_torque()
-
-
-def test_a_simulation_has_what_a_recorded_run_has(tmp_path):
-    result = simulate("paper", SHORT)
-    assert isinstance(result, Result) and issubclass(Run, Result)
-    assert len(result.record) == 51 and isinstance(result.metrics, Metrics)
-    assert result.metrics.contacts_lost_ticks == 0
-    assert result.plot().axes
-    assert result.report(tmp_path) == tmp_path / "report.html"
 
 
 def test_a_law_is_given_as_a_class_or_by_name():

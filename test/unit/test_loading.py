@@ -9,7 +9,6 @@ from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
-from bench.processes import isolated_domain
 from tactile_hand_ros.ros.processes import executable_path
 
 FIGURES = {"matplotlib", "rosbags", "tactile_hand_ros.run", "tactile_hand_ros.report"}
@@ -71,36 +70,3 @@ def test_an_executable_loads_only_what_it_needs(name, loaded):
     found = loaded(name)
     assert "rclpy" in found and "tactile_hand_ros.config.model" in found
     assert not found & UNNEEDED[name]
-
-
-WITNESS = """
-import gc, sys
-gc.disable()
-from rclpy.node import Node
-from tactile_hand_ros.ros.runner import run_node
-
-class Witness(Node):
-    def __init__(self):
-        super().__init__("witness")
-        self.create_timer(0.001, self.tell)
-    def tell(self):
-        print(gc.isenabled(), gc.get_freeze_count() > 0)
-        raise SystemExit(0)
-
-sys.exit(run_node(Witness, ["witness"]))
-"""
-
-
-def test_a_node_that_runs_collects_garbage_but_not_among_what_was_loaded():
-    """The executables switch the collector off while they load."""
-    with isolated_domain() as domain:
-        environment = {**os.environ, "ROS_DOMAIN_ID": str(domain)}
-        done = subprocess.run(
-            [sys.executable, "-c", WITNESS],
-            capture_output=True,
-            text=True,
-            check=True,
-            timeout=60,
-            env=environment,
-        )
-    assert done.stdout.split() == ["True", "True"]

@@ -11,7 +11,7 @@ from rcl_interfaces.msg import ParameterEvent
 from rclpy.parameter import Parameter
 from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import JointState, JoyFeedbackArray
-from std_msgs.msg import Float64, String
+from std_msgs.msg import Bool, Float64, String
 from std_srvs.srv import SetBool, Trigger
 from support.messages import pose_message
 from support.nodes import counts, facts, tapped
@@ -328,19 +328,21 @@ def test_where_time_is_known_to_wait_every_answer_is_sent(here):
 
 
 def test_where_a_guard_holds_the_joints_a_blind_tick_is_not_answered(here):
-    node = here.make(ManipulationControllerNode)
+    guard = here.user.create_publisher(Bool, names.JOINT_HOLD, qos.latched_qos())
+    guard.publish(Bool(data=True))  # before the controller is there
+    node = here.make(ManipulationControllerNode, composed=False)
     sent = tapped(node)
     topic = names.accepted_requests(names.CONTROLLER)
     here.receive(DiagnosticArray, topic)
     tick(node, 0)
-    node.joints_held = True
-    node.joints_held = True
+    here.wait(lambda: node.joints_held, "the hold")
     node.on_blind_tick(TICK, JOINTS, "no contacts")
     assert len(sent["joint_command"]) == 1
     tick(node, 2 * TICK)
     here.call(Trigger, "manipulation_controller/reset")
     tick(node, 3 * TICK)
-    node.joints_held = False
+    guard.publish(Bool(data=False))
+    here.wait(lambda: not node.joints_held, "its end")
     node.on_blind_tick(4 * TICK, JOINTS, "no contacts")
     assert torque(sent)[0] == 4 * TICK
     held = [each for each in asked(here.messages(topic, 6)) if each[0] == names.JOINT_HOLD]

@@ -23,6 +23,7 @@ from tactile_hand_ros.control.optimizer.force_optimizer import (
 )
 from tactile_hand_ros.control.slip.detector import ContactState
 from tactile_hand_ros.control.slip.regulator import SlipRegulatorConfig
+from tactile_hand_ros.nodes.common import ModeLog
 from tactile_hand_ros.nodes.force_optimizer import OptimizerReport
 from tactile_hand_ros.nodes.manipulation_controller import ControllerReport
 from tactile_hand_ros.nodes.slip_regulator import GripState, RegulatorReport
@@ -208,6 +209,22 @@ def test_each_change_of_mode_is_a_line_and_a_hold_a_fault_while_it_lasts():
     for _ in range(2):  # a pose for later that is out of reach when its time has come
         report.note(command(Mode.DRIVE, "out of reach"), state.theta, state.contacts)
     assert node.rejected == [(names.DESIRED_POSE, "out of reach")]
+
+
+def test_each_change_is_one_line_with_its_reason_and_of_a_flood_five_a_second():
+    lines: list[str] = []
+    now = [7.0]
+    log = ModeLog(lines.append, lambda: now[0])
+    for mode, reason in (("drive", ""), ("drive", ""), ("hold", "no contact"), ("drive", "")):
+        log.note(mode, reason)
+    assert lines == ["drive -> hold: no contact", "hold -> drive"]
+    ModeLog(lines.append).note("hold", "no touch yet")
+    assert lines.pop() == "hold: no touch yet"
+    for now[0], expected in ((7.999, 3), (8.0, 5), (8.999, 0), (9.0, 5)):
+        lines.clear()
+        for change in range(100):
+            log.note("drive" if change % 2 else "hold", f"{change}")
+        assert len(lines) == expected and lines[:1] in ([], ["drive -> hold: 0"])
 
 
 def test_margins_are_those_of_the_grasp_and_unknown_without_one():

@@ -80,6 +80,19 @@ def test_the_exit_code_follows_from_what_stops_the_nodes(action, code, printed, 
     assert not rclpy.ok()
 
 
+def test_a_node_that_runs_collects_garbage_but_not_among_what_was_loaded():
+    """The executables switch the collector off while they load."""
+    seen: list[tuple[bool, bool]] = []
+
+    def look() -> None:
+        seen.append((gc.isenabled(), gc.get_freeze_count() > 0))
+        rclpy.shutdown()
+
+    gc.disable()
+    assert runner.run_node(lambda: Example(look), ["program"]) == 0
+    assert seen == [(True, True)]
+
+
 def test_a_closed_terminal_does_not_stop_nodes_that_ignore_it(capfd):
     signal.signal(signal.SIGHUP, signal.SIG_IGN)
     actions = iter([send(signal.SIGHUP), rclpy.shutdown])
