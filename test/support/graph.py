@@ -28,6 +28,7 @@ from support.messages import pose_message
 from support.spinning import spinning
 from tactile_hand_ros import names
 from tactile_hand_ros.compiled import Array
+from tactile_hand_ros.config.hand_config import load_hand_config
 from tactile_hand_ros.ros import qos
 from tactile_hand_ros.ros.messages import stamp_to_ns
 from tactile_hand_ros.ros.middleware import ros_context
@@ -66,6 +67,7 @@ class Graph:
         """Prepare; entering the context starts a process for each node, or one for all."""
         self.scenario = scenario
         self.namespace = namespace
+        self._fingers = load_hand_config(scenario.hand).finger_names
         self.health: dict[str, Health] = {}
         self.processes: dict[str, CapturedProcess] = {}
         self._domain, self._folder, self._composed = domain, folder, composed
@@ -141,6 +143,9 @@ class Graph:
         self._watch(PoseStamped, names.AUXILIARY_POSE)
         self._watch(WrenchStamped, names.GRASP_FORCE)
         self._watch(PoseArray, names.TRUE_CONTACTS)
+        self._wrenches = [names.true_wrench(name) for name in self._fingers]
+        for topic in self._wrenches:
+            self._watch(WrenchStamped, topic)
 
     def _watch(self, kind: Any, topic: str) -> None:
         """Keep the newest message; raw, so that watching costs almost nothing."""
@@ -213,6 +218,12 @@ class Graph:
         """True contact points, shape (k, 3), m; NaN where a finger does not touch."""
         points = [pose.position for pose in self.newest(names.TRUE_CONTACTS).poses]
         return np.array([(point.x, point.y, point.z) for point in points])
+
+    @property
+    def forces(self) -> Array:
+        """True contact forces, shape (k, 3), N."""
+        forces = [self.newest(topic).wrench.force for topic in self._wrenches]
+        return np.array([(force.x, force.y, force.z) for force in forces])
 
     def call(self, kind: Any, service: str, request: Any) -> Any:
         """Call a service of the hand and return its response."""

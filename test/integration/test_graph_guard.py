@@ -1,0 +1,67 @@
+# SPDX-License-Identifier: Apache-2.0
+"""In real time, at the defaults: a hand whose controller dies while it moves keeps the object."""
+
+import signal
+
+import numpy as np
+from diagnostic_msgs.msg import DiagnosticArray
+from std_msgs.msg import Bool
+from support.graph import Graph
+
+from bench.processes import isolated_domain
+from tactile_hand_ros import names
+from tactile_hand_ros.ros import qos
+from tactile_hand_ros.ros.diagnostics import ERROR
+from tactile_hand_ros.scenario.scenario import load_scenario
+
+SCENARIO = load_scenario(
+    "paper",
+    {"duration": 86400, "plant.autostart": False, "plant.rate": 200.0, "plant.pacing": "realtime"},
+)
+P_D = np.array(SCENARIO.targets[0].position)
+
+
+def holds(graph: Graph) -> bool:
+    """Return whether the plant says that it holds because commands are too old."""
+    health = graph.health["/plant"]
+    return (
+        graph.says("plant", "mode", "holding")
+        and health.level == ERROR
+        and "too old" in health.message
+    )
+
+
+def test_a_killed_controller_in_real_time_costs_no_object(tmp_path):
+    with isolated_domain() as domain, Graph(SCENARIO, domain, tmp_path) as graph:
+        told: list[bool] = []
+        known: list[str] = []
+        requests = names.accepted_requests(names.CONTROLLER)
+        graph.node.create_subscription(
+            Bool, names.JOINT_HOLD, lambda m: told.append(m.data), qos.latched_qos()
+        )
+        graph.node.create_subscription(
+            DiagnosticArray, requests, lambda m: known.append(m.status[0].message), qos.user_qos()
+        )
+        graph.begin(P_D)
+        start = graph.position()
+        graph.wait(lambda: np.linalg.norm(graph.position() - start) > 0.02, "the motion")
+        graph.kill("manipulation_controller")
+        graph.wait(lambda: holds(graph), "the plant's word")
+        at, until = graph.position(), graph.time + 1.0
+        graph.wait(lambda: graph.time > until, "a second of the hold")
+        assert np.linalg.norm(graph.position() - at) < 0.003
+        assert np.isfinite(graph.contacts).all()
+        assert 8.0 < graph.forces[:, 1].sum() < 48.0
+        assert told[-1]
+        graph.kill("tactile_sensor")  # so that no answer ends the hold before it is known
+        graph.start("manipulation_controller")
+        graph.wait(lambda: graph.hears("manipulation_controller", names.JOINT_HOLD), "its reader")
+        graph.start("tactile_sensor")
+        graph.wait(lambda: graph.says("plant", "mode", "running"), "commands")
+        graph.wait(lambda: graph.hears("manipulation_controller", "desired_pose"), "its readiness")
+        graph.desire(P_D)
+        graph.wait(lambda: np.linalg.norm(graph.position() - at) > 0.02, "the motion")
+        assert np.isfinite(graph.contacts).all()
+        graph.wait(lambda: not told[-1], "the end of the hold")
+        assert names.JOINT_HOLD in known  # the new controller was told at once
+        assert set(graph.end(signal.SIGINT).values()) == {0}
