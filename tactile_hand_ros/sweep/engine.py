@@ -143,6 +143,7 @@ def workers(jobs: int = -1, cluster: str = "") -> Iterator[None]:
         return
     distributed = optional("distributed", "Running on a Dask cluster")
     try:
+        distributed.comm.get_address_host_port(cluster)  # a client with a wrong one ends badly
         client = distributed.Client(cluster, timeout=_PATIENCE, set_as_default=False)
     except (OSError, ValueError) as error:  # a TimeoutError is an OSError
         raise StudyError(

@@ -85,15 +85,24 @@ def _begin(study: Study, folder: Path) -> set[int]:
         **study.description,
     }
     text = json.dumps(content, indent=1) + "\n"
-    if file.exists():
-        _compare(json.loads(file.read_text("utf-8")), json.loads(text), folder)
+    if file.exists() or rows.exists():
+        _compare(_parsed(file), json.loads(text), folder)
     folder.mkdir(parents=True, exist_ok=True)
     files.replace_text(file, text)
     kept = rows.read_text("utf-8") if rows.is_file() else ""
     whole = kept[: kept.rfind("\n") + 1]  # a kill may have cut off the last line
-    if whole != kept:
+    if whole != kept or not rows.exists():
         files.replace_text(rows, whole)
-    return {int(json.loads(line)[INDEX]) for line in whole.splitlines()}
+    return {int(row[INDEX]) for row in _rows(folder)}
+
+
+def _parsed(file: Path) -> dict[str, Any]:
+    """Return the description of a study."""
+    try:
+        found = json.loads(file.read_text("utf-8"))
+        return found if isinstance(found, dict) else {}
+    except (FileNotFoundError, ValueError):  # then it differs from any study
+        return {}
 
 
 def _row(point: Point, result: Any) -> dict[str, Any]:
@@ -121,8 +130,17 @@ def _write_table(folder: Path) -> None:
 
 def _rows(folder: Path) -> list[dict[str, Any]]:
     """Return all finished runs in the order of their numbers."""
-    lines = (folder / ROWS).read_text("utf-8").splitlines()
-    return sorted(map(json.loads, lines), key=lambda row: int(row[INDEX]))
+    rows = []
+    for number, line in enumerate((folder / ROWS).read_text("utf-8").splitlines(), 1):
+        try:
+            row = json.loads(line)
+            rows.append((int(row[INDEX]), row))
+        except (ValueError, TypeError, KeyError):
+            raise StudyError(
+                f"line {number} of {folder / ROWS} is damaged; delete it and repeat the command, "
+                "which makes its run again."
+            ) from None
+    return [row for _, row in sorted(rows, key=lambda pair: pair[0])]
 
 
 def read_table(folder: Path) -> dict[str, NDArray[Any]]:

@@ -81,6 +81,17 @@ def test_a_folder_holds_one_study(tmp_path):
     kept(tmp_path, runs=4)
     with pytest.raises(StudyError, match="another study: runs is 4 there and 5 here"):
         kept(tmp_path, runs=5)
+    (tmp_path / table.DESCRIPTION).unlink()  # whose rows these are is unknown
+    with pytest.raises(StudyError, match="another study"):
+        kept(tmp_path, runs=4)
+
+
+def test_a_damaged_row_is_named(tmp_path):
+    kept(tmp_path, runs=4)
+    rows = tmp_path / table.ROWS
+    rows.write_text(rows.read_text().replace('{"run": 2', '{"rum": 2'))
+    with pytest.raises(StudyError, match=r"line \d of .* is damaged; delete it and repeat"):
+        kept(tmp_path, runs=4)
 
 
 def test_a_folder_that_cannot_be_written_is_said_in_a_sentence(tmp_path):
@@ -124,8 +135,9 @@ def test_a_cluster_gives_the_same_bytes(expected, tmp_path):
     assert (tmp_path / "study" / table.TABLE).read_bytes() == expected
 
 
-def test_no_scheduler_is_said_in_a_sentence(monkeypatch):
+@pytest.mark.parametrize("address", ["tcp://127.0.0.1:9", "without_a_port"])
+def test_no_scheduler_is_said_in_a_sentence(address, monkeypatch):
     monkeypatch.setattr(engine, "_PATIENCE", 0.5)
-    refused = pytest.raises(StudyError, match="no Dask scheduler answers at")
-    with refused, workers(cluster="tcp://127.0.0.1:9"):
+    refused = pytest.raises(StudyError, match=f"no Dask scheduler answers at {address}")
+    with refused, workers(cluster=address):
         pass
