@@ -6,7 +6,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from support.controllers import REST, TABLE_I, TICK, Bench
-from support.grasps import moved
+from support.grasps import FORCES, moved
 
 from tactile_hand_ros.control.contact import Contacts
 from tactile_hand_ros.control.controller import ControllerConfig, Mode
@@ -16,7 +16,6 @@ from tactile_hand_ros.control.targets import MAX_WAITING
 from tactile_hand_ros.errors import GraspError, PoseError
 from tactile_hand_ros.rotations import rotation_from_quaternion, rotation_from_vector
 
-FORCES = np.array([[0.3, 4.0, -0.2], [0.1, 2.5, 0.6], [-0.4, 3.0, 0.5]])
 EVERYTHING = {
     "law__integral__k_p": 20.0,
     "law__integral__k_o": 3.0,

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from support.grasps import FORCES
 from support.plants import plant
 
 from tactile_hand_ros.control.contact import Contacts, in_palm, joint_torques
@@ -20,7 +21,6 @@ PLANT = plant()
 STATE = PLANT.state
 CONTACTS = Contacts(STATE.contacts.positions, STATE.contacts.rotations)
 TERMS = PLANT.hand.dynamics(STATE.theta, np.zeros(9))
-FORCES = np.array([[0.3, 4.0, -0.2], [0.1, 2.5, 0.6], [-0.4, 3.0, 0.5]])
 
 
 def torque(forces):

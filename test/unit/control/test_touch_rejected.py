@@ -3,7 +3,8 @@
 
 import numpy as np
 import pytest
-from support.controllers import FEELING, FORCES, REST, TICK, Bench
+from support.controllers import FEELING, REST, TICK, Bench
+from support.grasps import FORCES
 
 from tactile_hand_ros.control.controller import Mode
 from tactile_hand_ros.control.targets import MAX_CHECKED, MAX_WAITING
