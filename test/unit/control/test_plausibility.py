@@ -3,11 +3,11 @@
 
 import numpy as np
 import pytest
+from support.controllers import Bench
 from support.plants import plant
 
 from tactile_hand_ros.control.contact import Contacts
-from tactile_hand_ros.control.controller import Controller, ControllerConfig, Mode
-from tactile_hand_ros.control.optimizer.force_optimizer import ForceOptimizer, ForceOptimizerConfig
+from tactile_hand_ros.control.controller import Mode
 from tactile_hand_ros.control.plausibility import (
     InputCheck,
     Tolerances,
@@ -17,18 +17,7 @@ from tactile_hand_ros.control.plausibility import (
 
 PLANT = plant()
 STATE, HAND = PLANT.state, PLANT.hand
-OPTIMAL = ForceOptimizer(ForceOptimizerConfig(), 3).solve(STATE.contacts).forces
 STILL = np.zeros(9)
-
-
-def answers(theta=STATE.theta, contacts=STATE.contacts, optimal=OPTIMAL):
-    """Return the answers to a tick of a good grasp, to another one, and to the first again."""
-    controller = Controller(ControllerConfig())
-    ticks = ((STATE.theta, STATE.contacts, OPTIMAL), (theta, contacts, optimal))
-    return [
-        controller.step(2_000_000 * i, joints, STILL, touch, shape, 10.0)
-        for i, (joints, touch, shape) in enumerate((*ticks, ticks[0]))
-    ]
 
 
 def shifted(*shift):
@@ -38,22 +27,24 @@ def shifted(*shift):
 @pytest.mark.parametrize(
     ("wrong", "reason"),
     [
-        ({"theta": STATE.theta + 0.2}, "off its fingertip"),
-        ({"contacts": shifted(0.02, 0.0, 0.0)}, "20 mm off its fingertip"),
-        ({"optimal": OPTIMAL[:, [1, 0, 2]]}, "normal parts"),
-        ({"optimal": 3.0 * OPTIMAL}, "add up to 3 instead of 1"),
+        (lambda _: {"theta": STATE.theta + 0.2}, "off its fingertip"),
+        (lambda _: {"contacts": shifted(0.02, 0.0, 0.0)}, "20 mm off its fingertip"),
+        (lambda b: {"optimal_forces": b.optimal[:, [1, 0, 2]]}, "normal parts"),
+        (lambda b: {"optimal_forces": 3.0 * b.optimal}, "add up to 3 instead of 1"),
     ],
 )
 def test_what_does_not_fit_is_answered_with_the_grasp_force_that_was_there(wrong, reason):
-    before, held, after = answers(**wrong)
+    bench = Bench(touch_tolerance=0.0)
+    before, held, after = bench.step(), bench.step(**wrong(bench)), bench.step()
     assert before.mode is Mode.DRIVE and held.mode is Mode.HOLD and reason in held.reason
     np.testing.assert_allclose(held.torque, before.torque, atol=1e-9)
     assert after.mode is Mode.DRIVE
 
 
 def test_what_fits_within_the_tolerance_drives():
-    modes = [answer.mode for answer in answers(STATE.theta + 0.01, shifted(0.002, 0.0, 0.0))]
-    assert modes == [Mode.DRIVE] * 3
+    bench = Bench(touch_tolerance=0.0)
+    moved = {"theta": STATE.theta + 0.01, "contacts": shifted(0.002, 0.0, 0.0)}
+    assert [bench.step(**given).mode for given in ({}, moved, {})] == [Mode.DRIVE] * 3
 
 
 RADII = np.array([0.03, 0.06, 0.05])
