@@ -11,8 +11,6 @@ from support.hands import prism_grasp
 from studies.faults.situations import SITUATIONS, scenario
 from studies.invariance import resized
 from studies.stalls import GuardedLoop, Watch
-from tactile_hand_ros.closed_loop.loop import ClosedLoop
-from tactile_hand_ros.closed_loop.record import Record
 from tactile_hand_ros.control.contact import in_palm
 from tactile_hand_ros.control.holds import (
     GuardHold,
@@ -323,15 +321,3 @@ def test_with_encoders_only_what_moves_the_object_is_damped_as_k_f_needs_it(tmp_
     # Torques that are two ticks late allow half as much.
     gains = fitted_gains(hand, theta, contacts, *how, 2)
     assert np.sort(bandwidths(1e9))[-6:] == pytest.approx(500.0, rel=1e-6)
-
-
-def test_a_hand_of_human_size_needs_no_gain_also_with_commands_that_are_a_tick_late():
-    loop = ClosedLoop(load_scenario("human_hold", {"duration": 1.0}))
-    hand, waiting = loop.plant.hand, []
-    record = Record.empty(400, hand.finger_names, hand.joint_names)
-    for row in range(400):
-        waiting.append(loop.answer(record, row).torque)
-        loop.advance(waiting[max(0, row - 1)])
-    assert not np.isnan(record.true_positions).any()
-    assert np.abs(record.rates[-100:]).max() < 1.0
-    assert record.true_slid[-1].max() < 1e-4

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from support.equations import grasp_map, hand_jacobian, rotation_error
-from support.grasps import FORCES, balance_in_frames, moved
+from support.grasps import FORCES, balance_in_frames
 
 from tactile_hand_ros.control.contact import Contacts, contact_frame
 from tactile_hand_ros.control.laws import (
@@ -244,29 +244,6 @@ def test_a_load_observer_that_is_switched_off_forgets(grip):
     again = grip.torque("optimal", law=law, forces=FORCES).load_compensation
     expected = grip.torque("optimal", law=fresh, forces=FORCES).load_compensation
     np.testing.assert_array_equal(again, expected)
-
-
-def test_reset_forgets_frame_integral_and_load(grip):
-    """For an upside-down grasp, the side of its plane is chosen again, along palm +z."""
-    config = LawConfig(integral={"k_p": 2.0, "k_o": 0.4}, observer={"time": 0.02})
-    law, fresh = ManipulationLaw(config, RADII), ManipulationLaw(config, RADII)
-    for _ in range(20):
-        grip.torque("optimal", law=law, forces=FORCES)
-    turned = moved(grip.contacts, rotation_from_vector([3.0, 0.3, 0.2]), np.zeros(3))
-    assert law.auxiliary_pose(grip.tips, turned).orientation[2, 2] < 0.0
-    law.reset()
-    np.testing.assert_array_equal(
-        law.auxiliary_pose(grip.tips, turned).orientation,
-        fresh.auxiliary_pose(grip.tips, turned).orientation,
-    )
-    law.reset()
-    fresh.reset()
-    for _ in range(3):
-        again = grip.torque("optimal", law=law, forces=FORCES)
-        np.testing.assert_array_equal(
-            again.total, grip.torque("optimal", law=fresh, forces=FORCES).total
-        )
-    np.testing.assert_array_equal(law.integral_wrench, fresh.integral_wrench)
 
 
 SHARES = np.array([0.5, 0.2, 0.3])
