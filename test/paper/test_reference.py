@@ -11,7 +11,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 from support.equations import grasp_map, rotation_error
 from support.plants import plant, torque_for
-from support.reference import Reference, State, World
+from support.reference import Reference, State, World, rotation_of
 
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
 from tactile_hand_ros.scenario.scenario import load_scenario
@@ -43,25 +43,11 @@ def reference_of(world, layout):
     return reference, start
 
 
-def contact_jacobian(reference, s):
-    """Return J_h of (2), shape (3k, m)."""
-    model, data, world = reference.model, reference.data, reference.world
-    pin.computeJointJacobians(model, data, s.theta)
-    pin.updateFramePlacements(model, data)
-    rotation = pin.Quaternion(s.quaternion / np.linalg.norm(s.quaternion)).toRotationMatrix()
-    blocks = []
-    for frame, radius, face in zip(reference.frames, world.radii, world.faces, strict=True):
-        jac = pin.getFrameJacobian(model, data, frame, pin.LOCAL_WORLD_ALIGNED)
-        blocks.append(jac[:3] + pin.skew(radius * rotation @ face) @ jac[3:])
-    return np.vstack(blocks)
-
-
 def drift(reference, y):
     """Return the largest violation of (6), m/s."""
     s = reference.unpack(y)
-    arms = reference.contacts(y) - s.position
-    points = contact_jacobian(reference, s) @ s.rates
-    return np.abs(points.reshape(-1, 3) - s.velocity - np.cross(s.spin, arms)).max()
+    hand, solid, _ = reference.contact_rows(s)
+    return np.abs(hand @ s.rates - solid @ np.concatenate([s.velocity, s.spin])).max()
 
 
 class PaperLaw:
@@ -78,13 +64,12 @@ class PaperLaw:
         forces = self.k_f * (self.optimal(s, grasp) if self.name == "optimal" else inward)
         turn = rotation_error(points, np.eye(3))
         wrench = np.concatenate([3.0 * (TARGET - centroid), 0.5 * turn])
-        jacobian = contact_jacobian(self.reference, s)
+        jacobian, *_ = self.reference.contact_rows(s)
         return jacobian.T @ (forces + np.linalg.pinv(grasp) @ wrench) - 0.07 * s.rates
 
     def optimal(self, s, grasp):
         """Solve (13) in closed form; the inequality does not bind in these grasps."""
-        quaternion = pin.Quaternion(s.quaternion / np.linalg.norm(s.quaternion))
-        rotation = quaternion.toRotationMatrix()
+        rotation = rotation_of(s)
         frames = np.zeros((9, 9))
         for i, face in enumerate(self.reference.world.faces):
             n = -rotation @ face

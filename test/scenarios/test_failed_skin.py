@@ -1,9 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The skin of a finger fails before a load or during a move; the others and the joints suffice."""
+"""A skin that is slow or late, or fails at a finger before a load or during a move.
+
+The contacts of an old skin move with the fingers; the joints replace a failed one.
+"""
 
 import numpy as np
 import pytest
-from support.outcomes import InParallel, run_with_failing_skin
+from support.outcomes import InParallel, run_scenario, run_with_failing_skin
 
 CASES = {
     "pulled, off": ("human_pull", 2, "off", 1.0, 3.0),
@@ -12,11 +15,23 @@ CASES = {
     "moving, off": ("gravity", 0, "off", 1.5, 4.0),
     "moving, whole": ("gravity", 0, "none", 1.5, 4.0),
 }
+LATE = {"tactile_sensor.latency": 0.02, "manipulation_controller.touch_latency": 0.022}
+OLD = {
+    "20 Hz": ("human_hold", {"tactile_sensor.rate": 20.0, "duration": 2.0}),
+    "20 Hz, loaded": ("human_lift", {"tactile_sensor.rate": 20.0, "duration": 2.0}),
+    "33 Hz": ("human_pull", {"tactile_sensor.rate": 33.0, "duration": 3.0}),
+    "20 ms": ("human_pull", {**LATE, "duration": 3.0}),
+}
 
 
 @pytest.fixture(scope="module")
 def records():
     return InParallel(run_with_failing_skin, CASES)
+
+
+@pytest.fixture(scope="module")
+def with_old_touch():
+    return InParallel(run_scenario, OLD)
 
 
 @pytest.mark.parametrize("name", CASES)
@@ -43,3 +58,13 @@ def test_the_hand_moves_on_and_knows_where(records):
     assert away.max() < 0.01
     true = record.true_positions.mean(axis=1)
     assert np.linalg.norm(record.auxiliary_position - true, axis=1).max() < 5e-4
+
+
+@pytest.mark.parametrize("name", OLD)
+def test_light_fingers_hold_with_old_touch(with_old_touch, name):
+    """With contacts as old as their samples, they swing and throw the object away."""
+    record = with_old_touch[name]
+    assert np.isfinite(record.true_positions[-1]).all()
+    assert record.true_slid[-1].max() < 1e-3
+    swings = np.ptp(record.object_position[-200:], axis=0)
+    assert swings.max() < 2e-3, swings

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A hand whose skin feels normal forces only holds an object, by torques and by position servos."""
+"""Hands with position servos, and with a skin for normal forces only, hold an object."""
 
 import numpy as np
 import pytest
@@ -11,42 +11,63 @@ from tactile_hand_ros.control.driver_output import DriverOutput
 from tactile_hand_ros.front_door import simulate
 from tactile_hand_ros.scenario.scenario import load_scenario
 
-PULL, STIFFNESS, DAMPING = 2.0, 2.0, 0.006  # s, N m/rad, N m s/rad: 30 % of critical
+PULL = 2.0  # s
 SLIPPERY = {"plant.object.friction": 0.25, "duration": 3.0}
+STEP = {"plant.time_step": 0.00025}  # four steps of a servo per tick
 
 
-def with_servos(strength: float):
-    """Run position servos of another stiffness than their parameter, a factor; one tick late."""
-    loop = ClosedLoop(load_scenario("ability", {"duration": 3.0, "plant.time_step": 0.00025}))
-    output = DriverOutput(DriverConfig(output="position", stiffness=STIFFNESS), loop.plant.model)
-    goal, limit = loop.state.joints.theta, loop.plant.hand.effort_limits
+class ServoLoop(ClosedLoop):
+    """Position servos, whose commands are one tick late; see `DriverOutput`."""
 
-    def servo(_, theta, rates):
-        return np.clip(strength * STIFFNESS * (goal - theta) - DAMPING * rates, -limit, limit)
+    def __init__(self, scenario, stiffness, damping, strength=1.0):
+        """Make servos [N m/rad, N m s/rad] that are stiffer than their parameter by a factor."""
+        super().__init__(scenario)
+        driver = DriverConfig(output="position", stiffness=stiffness)
+        self.output, self.goal = DriverOutput(driver, self.plant.model), self.state.joints.theta
+        self.stiffness, self.damping = strength * stiffness, damping
 
-    def advance(torque):
-        nonlocal goal
-        later = output.step(loop.state.joints.theta, torque)
-        loop.drive(servo)
-        goal = later
+    def advance(self, torque):
+        goal = self.output.step(self.state.joints.theta, torque)
+        self.drive(self.servo)
+        self.goal = goal
 
-    loop.advance = advance
-    record = loop.run()
-    at, goal = loop.state.position, output.rest()
-    for _ in range(1000):  # without commands
-        loop.drive(servo)
-    return record, float(np.linalg.norm(loop.state.position - at)), output.clipped
+    def servo(self, _, theta, rates):
+        torque = self.stiffness * (self.goal - theta) - self.damping * rates
+        return np.clip(torque, -self.plant.hand.effort_limits, self.plant.hand.effort_limits)
+
+    def rest(self, ticks):
+        """Go on without commands."""
+        self.goal = self.output.rest()
+        for _ in range(ticks):
+            self.drive(self.servo)
+
+
+def test_position_servos_hold_the_object_with_the_same_grasp_force():
+    """Up to encoder steps e of two ticks, torques of k e: forces of k e / 30 mm at three tips."""
+    late = {"manipulation_controller.hold.latency": 1}  # ticks, of a servo
+    scenario = load_scenario("human_hold", {"duration": 2.0, **STEP, **late})
+    stiffness, last = 5.0, slice(1000, None)
+    servos = ServoLoop(scenario, stiffness, 0.003)  # 7 % of critical at the base
+    held, direct = servos.run(), ClosedLoop(scenario).run()
+    tolerance = 2.0 * 3.0 * stiffness * (2.0 * np.pi / 2.0**16) / 0.03  # 0.1 N
+    assert abs(held.grasp_force[last].mean() - direct.grasp_force[last].mean()) < tolerance
+    assert held.true_slid.max() < 1e-6 and servos.output.clipped == 0
+    servos.rest(500)
+    assert servos.state.slid.max() < 1e-6
 
 
 @pytest.mark.parametrize("strength", [0.7, 1.3])
 def test_servos_of_unknown_strength_press_with_the_wanted_force_and_hold(strength):
-    record, moved, clipped = with_servos(strength)
+    loop = ServoLoop(load_scenario("ability", {"duration": 3.0, **STEP}), 2.0, 0.006, strength)
+    record, at = loop.run(), loop.state.position
+    loop.rest(1000)
     wanted = record.grasp_force[:, None] * record.optimal_forces[:, :, 1]
     ratios = record.true_forces[:, :, 1] / wanted
     for last in (1900, -1):  # before the pull, and under it
         assert ratios[last].min() == pytest.approx(1.0, abs=0.02)
-    assert record.grasp_force[1800:].max() == 12.0 and clipped == 0  # no slip is seen
-    assert record.true_slid[-1].max() < 1e-4 and moved < 1e-4
+    assert record.grasp_force[1800:].max() == 12.0 and loop.output.clipped == 0  # no slip is seen
+    assert record.true_slid[-1].max() < 1e-4
+    assert np.linalg.norm(loop.state.position - at) < 1e-4
     assert np.isnan(record.forces[:, :, ::2]).all() and np.isfinite(record.forces[:, :, 1]).all()
 
 

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from support.grasps import Array, moved
+from support.grasps import FORCES, Array, moved
 from support.plants import plant
 from tactile_hand_ros.control.contact import Contacts, in_palm, joint_torques
 from tactile_hand_ros.control.controller import Command, Controller, ControllerConfig
@@ -16,8 +16,6 @@ from tactile_hand_ros.rotations import rotation_from_vector
 TICK = 2_000_000
 REST = np.zeros(9)
 
-
-FORCES = np.array([[0.3, 4.0, -0.2], [0.1, 2.5, 0.6], [-0.4, 3.0, 0.5]])
 FEELING = {"law__observer__time": 0.02, "touch_latency": 0.0}
 """Parameters with which a controller compares forces and torques, as keywords of `Bench`."""
 

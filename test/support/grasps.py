@@ -14,6 +14,8 @@ from tactile_hand_ros.control.grasp import collinearity_margin
 Array = NDArray[np.float64]
 
 HALF = 0.1302  # half an edge of the paper's cube, m
+FORCES = np.array([[0.3, 4.0, -0.2], [0.1, 2.5, 0.6], [-0.4, 3.0, 0.5]])
+"""Asymmetric forces of three fingers in contact frames, N."""
 
 
 def contacts_at(points: Array, normals: Array) -> Contacts:

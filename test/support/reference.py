@@ -78,8 +78,8 @@ class Reference:
     def solve_rates(self, y: Array, torque: Array, wrench: Array) -> tuple[Array, Array]:
         """Return y' and the contact forces on the object, shape (k, 3), palm axes."""
         s, w, m, k = self.unpack(y), self.world, self.m, len(self.frames)
-        rotation = pin.Quaternion(s.quaternion / np.linalg.norm(s.quaternion)).toRotationMatrix()
-        hand, solid, bias = self._contact_rows(s, rotation)
+        hand, solid, bias = self.contact_rows(s)
+        rotation = rotation_of(s)
         inertia = rotation @ w.inertia @ rotation.T
         mass = np.triu(self.data.M) + np.triu(self.data.M, 1).T
         force_o = np.concatenate([w.mass * w.gravity, -np.cross(s.spin, inertia @ s.spin)]) + wrench
@@ -99,14 +99,14 @@ class Reference:
         )
         return y_dot, solution[n:].reshape(k, 3)
 
-    def _contact_rows(self, s: State, rotation: Array) -> tuple[Array, Array, Array]:
-        """Return the contact constraint on the accelerations at an object `rotation`, shape (3, 3).
+    def contact_rows(self, s: State) -> tuple[Array, Array, Array]:
+        """Return the contact constraint on the accelerations.
 
         Returns:
-            Factors of the joint accelerations, shape (3k, m), of the object's, shape (3k, 6), and
-            the rest, shape (3k,), m/s^2.
+            Factors of the joint accelerations, J_h of (2), shape (3k, m), of the object's, shape
+            (3k, 6), and the rest, shape (3k,), m/s^2.
         """
-        w, m, k = self.world, self.m, len(self.frames)
+        w, m, k, rotation = self.world, self.m, len(self.frames), rotation_of(s)
         pin.forwardKinematics(self.model, self.data, s.theta, s.rates, np.zeros(m))
         pin.computeAllTerms(self.model, self.data, s.theta, s.rates)
         pin.forwardKinematics(self.model, self.data, s.theta, s.rates, np.zeros(m))
@@ -137,9 +137,8 @@ class Reference:
         """Return the contact points, shape (k, 3), palm frame."""
         s = self.unpack(y)
         pin.framesForwardKinematics(self.model, self.data, s.theta)
-        rotation = pin.Quaternion(s.quaternion / np.linalg.norm(s.quaternion)).toRotationMatrix()
         tips = np.array([self.data.oMf[f].translation for f in self.frames])
-        normals = self.world.faces @ rotation.T
+        normals = self.world.faces @ rotation_of(s).T
         return np.asarray(tips - self.world.radii[:, None] * normals)
 
     def run(
@@ -168,6 +167,11 @@ class Reference:
                 way = (t, t_next)
                 y = solve_ivp(rates, way, y, method="DOP853", rtol=rtol, atol=1e-12).y[:, -1]
         return np.array(states), np.array(forces)
+
+
+def rotation_of(s: State) -> Array:
+    """Return the rotation of the object, shape (3, 3)."""
+    return pin.Quaternion(s.quaternion / np.linalg.norm(s.quaternion)).toRotationMatrix()
 
 
 def _quaternion_rate(spin: Array, quaternion: Array) -> Array:

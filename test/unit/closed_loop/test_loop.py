@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The complete loop: determinism, other hands, the record, and lost contacts."""
+"""The complete loop: determinism, other hands, the record, lost contacts, and blindness."""
 
 import numpy as np
 import pytest
@@ -7,8 +7,12 @@ from scipy.spatial.transform import Rotation
 from support.hands import prism_grasp
 from support.recorded import assert_same
 
-from tactile_hand_ros.closed_loop.loop import ClosedLoop
+from tactile_hand_ros.closed_loop.loop import Chain, ClosedLoop
 from tactile_hand_ros.closed_loop.record import Record
+from tactile_hand_ros.control.contact import Contacts
+from tactile_hand_ros.control.controller import Controller
+from tactile_hand_ros.control.optimizer.force_optimizer import ForceOptimizer
+from tactile_hand_ros.control.slip.regulator import SlipRegulator
 from tactile_hand_ros.run.derived import dropped_at
 from tactile_hand_ros.scenario.preflight import check_scenario
 from tactile_hand_ros.scenario.scenario import load_scenario
@@ -164,3 +168,47 @@ def test_a_run_that_diverges_ends_with_the_drop():
     record = run(ticks=60, changes={"plant.disturbances": push})
     assert 25 < len(record) < 60 and np.isfinite(record.object_position).all()
     assert 0.05 < dropped_at(record) < record.times[-1]
+
+
+# Properties of the object that touch cannot measure.
+HIDDEN = {
+    "mass": {"plant.object.mass": 0.4},
+    "inertia": {"plant.object.inertia": [0.002, 0.003, 0.004]},
+    "friction": {"plant.object.friction": 0.05},
+    "weight": {"gravity": [0.0, 0.0, -2.0]},
+    "size behind the contacts": {"plant.object.size": [0.2604, 0.2604, 0.5]},
+    "push": {"plant.disturbances": [{"force": [0.2, 0.0, 0.0]}]},
+}
+
+
+def replay(scenario, seen):
+    """Return the torques of the controller blocks for recorded joints and touch."""
+    chain = Chain(
+        SlipRegulator(scenario.slip_regulator, 3),
+        ForceOptimizer(scenario.force_optimizer, 3),
+        Controller(scenario.manipulation_controller),
+    )
+    for wish in scenario.targets:
+        chain.controller.targets.command(wish.target(), wish.stamp)
+    contacts = map(Contacts.from_poses, seen.contact_positions, seen.contact_quaternions)
+    joints = seen.theta, seen.rates, seen.torque
+    ticks = zip(seen.stamps.tolist(), *joints, contacts, seen.forces, strict=True)
+    return np.array([chain.answer(*tick).command.torque for tick in ticks])
+
+
+@pytest.fixture(scope="module")
+def plain():
+    return run()
+
+
+@pytest.mark.parametrize("changes", HIDDEN.values(), ids=HIDDEN)
+def test_the_same_joints_and_touch_give_the_same_torques_whatever_is_held(plain, changes):
+    """Joints and touch alone reproduce the run on the changed object, bit for bit.
+
+    The blocks are built from the unchanged scenario. If the closed loop passed them any property of
+    the object, they could not reproduce its torques.
+    """
+    seen = run(changes=changes)
+    np.testing.assert_array_equal(replay(load_scenario("paper"), seen), seen.command)
+    if "plant.object.size" not in changes:
+        assert np.abs(plain.command - seen.command).max() > 1e-9  # the object had an effect

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Contact frames follow the convention, on both sides of its threshold."""
+"""Contact frames follow the convention, on both sides of its threshold; example contacts."""
 
 import numpy as np
 import pytest
@@ -11,10 +11,12 @@ from tactile_hand_ros.closed_loop.loop import ClosedLoop
 from tactile_hand_ros.control.contact import (
     Contacts,
     contact_frame,
+    example_touch,
     hand_jacobian,
     joint_torques,
 )
 from tactile_hand_ros.control.grasp import carried_along
+from tactile_hand_ros.control.optimizer.force_optimizer import ForceOptimizer, ForceOptimizerConfig
 from tactile_hand_ros.hand.hand import Hand
 from tactile_hand_ros.rotations import quaternion_from_rotation
 from tactile_hand_ros.scenario.scenario import load_scenario
@@ -126,3 +128,15 @@ def test_contacts_that_are_carried_along_are_where_the_object_has_them_later(nam
     turn = abs(later.normals - touch.normals).max()
     np.testing.assert_allclose(frames[:, :, 1], later.normals, atol=3e-3 * turn)
     np.testing.assert_allclose(frames.transpose(0, 2, 1) @ frames, [np.eye(3)] * 3, atol=1e-12)
+
+
+@pytest.mark.parametrize("fingers", [3, 4, 5])
+def test_fingers_stand_evenly_around_a_cylinder_and_press_inwards(fingers):
+    """The synthetic touch of a rehearsal, which takes every block through a tick."""
+    contacts, forces = example_touch(fingers)
+    angles = 2.0 * np.pi * np.arange(fingers) / fingers
+    outward = np.array([np.cos(angles), np.sin(angles), 0.0 * angles]).T
+    np.testing.assert_allclose(contacts.positions, 0.05 * outward, atol=1e-15)
+    np.testing.assert_allclose(contacts.normals, -outward, atol=1e-15)
+    np.testing.assert_array_equal(forces, [[0.0, 1.0, 0.0]] * fingers)
+    assert ForceOptimizer(ForceOptimizerConfig(), fingers).solve(contacts).ok

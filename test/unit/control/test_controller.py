@@ -6,7 +6,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from support.controllers import REST, TABLE_I, TICK, Bench
-from support.grasps import moved
+from support.grasps import FORCES, moved
 
 from tactile_hand_ros.control.contact import Contacts
 from tactile_hand_ros.control.controller import ControllerConfig, Mode
@@ -16,7 +16,6 @@ from tactile_hand_ros.control.targets import MAX_WAITING
 from tactile_hand_ros.errors import GraspError, PoseError
 from tactile_hand_ros.rotations import rotation_from_quaternion, rotation_from_vector
 
-FORCES = np.array([[0.3, 4.0, -0.2], [0.1, 2.5, 0.6], [-0.4, 3.0, 0.5]])
 EVERYTHING = {
     "law__integral__k_p": 20.0,
     "law__integral__k_o": 3.0,
@@ -354,26 +353,19 @@ def integral_torque(interrupt):
     return np.linalg.norm(torques[0] - torques[1])
 
 
-def silence(bench):
-    bench.controller.hold(bench.theta, REST, "silence")
-    bench.stamp += 10_000_000_000
-
-
-def pause(bench):
-    idle(bench)
-    bench.stamp += 10_000_000_000
-
-
-def restart(bench):
-    bench.stamp = 0
-
-
-@pytest.mark.parametrize("interrupt", [silence, pause, restart])
-def test_nothing_is_integrated_over_an_interruption(interrupt):
+@pytest.mark.parametrize(
+    ("interrupt", "stamp"), [(miss, 10**10), (idle, 10**10), (lambda bench: None, 0)]
+)
+def test_nothing_is_integrated_over_an_interruption(interrupt, stamp):
     """Ten silent seconds add no integral action, and a restart does not remove it."""
+
+    def interrupted(bench):
+        interrupt(bench)
+        bench.stamp = stamp
+
     without = integral_torque(lambda bench: None)
     assert without > 1e-4
-    assert integral_torque(interrupt) == pytest.approx(20 / 21 * without)
+    assert integral_torque(interrupted) == pytest.approx(20 / 21 * without)
 
 
 def test_gains_change_while_running(bench):
@@ -406,43 +398,46 @@ def let_go(bench):
     assert bench.controller.is_open
 
 
-@pytest.mark.parametrize("interrupt", [lambda bench: None, miss, idle, let_go])
-def test_reset_forgets_everything(interrupt):
-    bench, fresh = strained(interrupt), Bench(**EVERYTHING)
-    bench.controller.targets.command(bench.target(0.0, 0.05, 0.0), stamp=bench.stamp + 3 * TICK)
-    bench.controller.reset()
-    assert bench.controller.targets.target is None and not bench.controller.is_open
-    with pytest.raises(GraspError, match="no grasp to release; let all fingers touch"):
-        bench.controller.release()
+def upside_down(bench, *shift):
+    """Return contacts elsewhere: a remembered side of the virtual frame would show."""
+    return {"contacts": bench.elsewhere(*shift, turn=(3.0, 0.2, 0.1)), "forces": FORCES}
+
+
+def assert_drives_like(fresh, bench, given, ticks=6):
+    """Assert that a controller answers ticks as a new one does."""
     fresh.stamp = bench.stamp
-    # Upside down: a remembered side of the virtual frame would show.
-    given = {"contacts": bench.elsewhere(0.0, 0.01, 0.02, turn=(3.0, 0.2, 0.1)), "forces": FORCES}
-    for _ in range(6):
+    for _ in range(ticks):
         answer, expected = bench.step(**given), fresh.step(**given)
         assert answer.mode is Mode.DRIVE and answer.reason == ""
         np.testing.assert_array_equal(answer.torque, expected.torque)
         np.testing.assert_array_equal(answer.pose.orientation, expected.pose.orientation)
 
 
+@pytest.mark.parametrize("interrupt", [lambda bench: None, miss, idle, let_go])
+def test_reset_forgets_everything(interrupt):
+    bench = strained(interrupt)
+    bench.controller.targets.command(bench.target(0.0, 0.05, 0.0), stamp=bench.stamp + 3 * TICK)
+    bench.controller.reset()
+    assert bench.controller.targets.target is None and not bench.controller.is_open
+    with pytest.raises(GraspError, match="no grasp to release; let all fingers touch"):
+        bench.controller.release()
+    assert_drives_like(Bench(**EVERYTHING), bench, upside_down(bench, 0.0, 0.01, 0.02))
+
+
 @pytest.mark.parametrize("closing", [False, True])
 def test_open_fingers_stay_open_and_closing_ones_go_on_when_the_grasp_is_forgotten(closing):
     """A real hand that forgot this could no longer open or close."""
-    bench, fresh = strained(let_go), Bench(**EVERYTHING)
+    bench = strained(let_go)
     if closing:
         bench.controller.grasp()
     bench.controller.forget()
     assert bench.controller.targets.target is None
     assert bench.step(contacts=bench.without_finger(0)).mode is Mode.OPEN
-    fresh.stamp = bench.stamp
-    given = {"contacts": bench.elsewhere(0.0, 0.01, 0.02, turn=(3.0, 0.2, 0.1)), "forces": FORCES}
+    given = upside_down(bench, 0.0, 0.01, 0.02)
     if not closing:
         assert bench.step(**given).mode is Mode.OPEN
         bench.controller.grasp()
-        fresh.stamp = bench.stamp
-    for _ in range(3):
-        answer, expected = bench.step(**given), fresh.step(**given)
-        assert answer.mode is Mode.DRIVE
-        np.testing.assert_array_equal(answer.torque, expected.torque)
+    assert_drives_like(Bench(**EVERYTHING), bench, given)
 
 
 def test_closing_fingers_open_again_also_when_the_grasp_is_forgotten():
@@ -473,15 +468,11 @@ def test_after_a_reset_time_may_restart():
 
 def test_a_new_grasp_keeps_nothing_of_the_old_one():
     """Elsewhere and upside down: from its first tick on, it is treated like a first grasp."""
-    bench, fresh = strained(let_go_and_take_again), Bench(**EVERYTHING)
+    bench = strained(let_go_and_take_again)
     assert bench.step(contacts=bench.without_finger(0)).mode is Mode.OPEN
-    fresh.stamp = bench.stamp
-    given = {"contacts": bench.elsewhere(0.01, 0.02, 0.03, turn=(3.0, 0.2, 0.1)), "forces": FORCES}
-    for _ in range(6):
-        answer, expected = bench.step(**given), fresh.step(**given)
-        assert answer.mode is Mode.DRIVE and not bench.controller.is_open
-        np.testing.assert_array_equal(answer.torque, expected.torque)
-        np.testing.assert_array_equal(answer.pose.orientation, expected.pose.orientation)
+    given = upside_down(bench, 0.01, 0.02, 0.03)
+    assert_drives_like(Bench(**EVERYTHING), bench, given)
+    assert not bench.controller.is_open
     target = bench.controller.targets.target
     np.testing.assert_allclose(target.position, given["contacts"].centroid, atol=1e-12)
 

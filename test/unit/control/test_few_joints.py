@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 from support.grasps import contacts_at
-from support.hands import write_hand
+from support.hands import prism_grasp
 
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
 from tactile_hand_ros.control.grasp import VirtualFrame, grasp_map, wrench_forces
@@ -20,7 +20,6 @@ from tactile_hand_ros.control.optimizer.force_optimizer import (
     Status,
 )
 from tactile_hand_ros.errors import PoseError
-from tactile_hand_ros.hand.hand import Hand
 from tactile_hand_ros.rotations import rotation_from_vector
 from tactile_hand_ros.scenario.scenario import load_scenario
 
@@ -75,38 +74,16 @@ def test_the_frame_of_two_contacts_turns_with_their_line_and_not_about_it():
     assert_allclose(frame.orientation(POINTS), start)
 
 
-def few_joints(tmp_path, joints, theta, height=0.0):
-    """A scenario in which a hand of that many joints a finger holds a prism between its tips."""
-    path = write_hand(tmp_path, joints)
-    hand = Hand.load(str(path))
-    tips = hand.fingertips(np.array(theta)).positions
-    inward = tips.mean(axis=0) - tips
-    corners = tips + hand.radii[:, None] * inward / np.linalg.norm(inward, axis=1)[:, None]
-    center = corners.mean(axis=0)
-    # Faces at right angles to the inward directions: planes through the contacts.
-    others = np.roll(corners, 1, axis=0) + np.roll(corners, 2, axis=0) - corners
-    upright = np.vstack([others + [0.0, 0.0, 0.05], others - [0.0, 0.0, 0.05]]) - center
-    changes = {
-        "hand": str(path),
-        "layout": "",
-        "targets": [],
-        "duration": 0.5,
-        "plant.initial_joints": list(theta),
-        "plant.object.vertices": upright.ravel().tolist(),
-        "plant.object.position": center.tolist(),
-        "plant.object.inertia": [],
-        "plant.object.mass": 0.3,
-        "plant.object.friction": 1.0,
-        "manipulation_controller.law.k_p": 0.0,
-        "manipulation_controller.law.k_o": 0.0,
-        "manipulation_controller.law.damping": 0.0,
-    }
-    return load_scenario("paper", changes)
+def few_joints(tmp_path):
+    """A scenario in which a hand of two joints a finger holds a prism between its tips."""
+    gains = {f"manipulation_controller.law.{name}": 0.0 for name in ("k_p", "k_o", "damping")}
+    body = {"plant.object.inertia": [], "plant.object.mass": 0.3, "plant.object.friction": 1.0}
+    changes = {**gains, **body, "targets": [], "duration": 0.5}
+    return load_scenario("paper", prism_grasp(tmp_path, [2, 2, 2]) | changes)
 
 
 def test_two_joint_fingers_hold_and_refuse_moves_that_they_cannot_make(tmp_path):
-    scenario = few_joints(tmp_path, [2, 2, 2], [1.0, 1.5] * 3)
-    loop = ClosedLoop(scenario)
+    loop = ClosedLoop(few_joints(tmp_path))
     record = loop.run()
     moved = np.linalg.norm(record.object_position - record.object_position[0], axis=1)
     assert moved.max() < 1e-3 and record.true_slid[-1].max() < 1e-4
@@ -119,8 +96,7 @@ def test_two_joint_fingers_hold_and_refuse_moves_that_they_cannot_make(tmp_path)
 
 def test_gains_fit_motions_that_exist_only(tmp_path):
     """Nine constraints and six joints leave three motions: the others have no stiffness."""
-    scenario = few_joints(tmp_path, [2, 2, 2], [1.0, 1.5] * 3)
-    plant = ClosedLoop(scenario).plant
+    plant = ClosedLoop(few_joints(tmp_path)).plant
     contacts, theta = plant.state.contacts, plant.state.theta
     forces = contacts.centroid - contacts.positions
     gains = fitted_gains(plant.hand, theta, contacts, forces, 0.002, 0.01, 0.1)

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from support.grasps import FORCES
 from support.plants import plant
 
 from tactile_hand_ros.control.contact import Contacts, in_palm, joint_torques
@@ -20,7 +21,6 @@ PLANT = plant()
 STATE = PLANT.state
 CONTACTS = Contacts(STATE.contacts.positions, STATE.contacts.rotations)
 TERMS = PLANT.hand.dynamics(STATE.theta, np.zeros(9))
-FORCES = np.array([[0.3, 4.0, -0.2], [0.1, 2.5, 0.6], [-0.4, 3.0, 0.5]])
 
 
 def torque(forces):
@@ -29,16 +29,24 @@ def torque(forces):
     return joint_torques(TERMS[0], CONTACTS.positions, pressing) + TERMS[2]
 
 
+def verdicts(seen, tolerance=0.3, watch=None, latency=0.0):
+    """Return the verdicts on ticks: timestamp in ms, rates, model, forces and torque of each."""
+    watch, limits = watch or ForceTorqueCheck(PLANT.hand), Tolerances(0.0, tolerance, latency)
+    return [
+        watch.step(round(1e6 * stamp), rates, terms, CONTACTS, forces, applied, limits)
+        for stamp, rates, terms, forces, applied in seen
+    ]
+
+
+def at_rest(stamps, forces, applied):
+    return [(stamp, np.zeros(9), TERMS, forces, applied) for stamp in stamps]
+
+
 def first_doubt(sensed, applied, ticks=100, latency=0.0):
     """Return the first tick at which forces and torques, functions of the tick, are doubted."""
-    watch = ForceTorqueCheck(PLANT.hand)
-    for tick in range(ticks):
-        seen = sensed(tick), torque(applied(tick))
-        if watch.step(
-            tick * TICK, np.zeros(9), TERMS, CONTACTS, *seen, Tolerances(0.0, 0.3, latency)
-        ):
-            return tick
-    return None
+    seen = [at_rest((2.0 * i,), sensed(i), torque(applied(i)))[0] for i in range(ticks)]
+    found = verdicts(seen, latency=latency)
+    return next((tick for tick, verdict in enumerate(found) if verdict), None)
 
 
 def noisy(tick):
@@ -176,26 +184,11 @@ def test_an_imu_in_a_palm_at_rest_does_not_widen_the_tolerance():
 
 def test_a_new_grasp_starts_without_a_past():
     watch = ForceTorqueCheck(PLANT.hand)
-    seen = FORCES, torque(0.2 * FORCES)
-    assert watch.step(0, np.zeros(9), TERMS, CONTACTS, *seen, Tolerances(0.0, 0.3, 0.0)) is None
-    assert watch.step(TICK, np.zeros(9), TERMS, CONTACTS, *seen, Tolerances(0.0, 0.3, 0.0))
+    first, second, third = at_rest((0.0, 2.0, 4.0), FORCES, torque(0.2 * FORCES))
+    before, after = verdicts([first, second], watch=watch)
+    assert before is None and after
     watch.reset()
-    assert (
-        watch.step(2 * TICK, np.zeros(9), TERMS, CONTACTS, *seen, Tolerances(0.0, 0.3, 0.0)) is None
-    )
-
-
-def verdicts(seen, tolerance=0.3, watch=None, latency=0.0):
-    """Return the verdicts on ticks: timestamp in ms, rates, model, forces and torque of each."""
-    watch, limits = watch or ForceTorqueCheck(PLANT.hand), Tolerances(0.0, tolerance, latency)
-    return [
-        watch.step(round(1e6 * stamp), rates, terms, CONTACTS, forces, applied, limits)
-        for stamp, rates, terms, forces, applied in seen
-    ]
-
-
-def at_rest(stamps, forces, applied):
-    return [(stamp, np.zeros(9), TERMS, forces, applied) for stamp in stamps]
+    assert verdicts([third], watch=watch) == [None]
 
 
 def test_inertia_weight_and_the_time_between_ticks_count():

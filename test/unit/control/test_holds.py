@@ -11,8 +11,6 @@ from support.hands import prism_grasp
 from studies.faults.situations import SITUATIONS, scenario
 from studies.invariance import resized
 from studies.stalls import GuardedLoop, Watch
-from tactile_hand_ros.closed_loop.loop import ClosedLoop
-from tactile_hand_ros.closed_loop.record import Record
 from tactile_hand_ros.control.contact import in_palm
 from tactile_hand_ros.control.holds import (
     GuardHold,
@@ -181,10 +179,8 @@ def scaled(folder, scale, mass):
 def required(folder, scale, mass, force=18.0):
     """Return the bandwidth that the paper's hand needs in another size."""
     plant = Plant(scaled(folder, scale, mass).plant)
-    contacts = plant.state.contacts
-    shape = ForceOptimizer(ForceOptimizerConfig(), 3).solve(contacts).forces
-    forces = in_palm(contacts.rotations, shape, force)
-    return required_bandwidth(plant.hand, plant.state.theta, contacts, forces)
+    grasp = plant.hand, plant.state.theta, plant.state.contacts
+    return required_bandwidth(*grasp, force * pressing(plant))
 
 
 def test_what_a_grasp_needs_follows_from_force_lever_and_inertia(tmp_path):
@@ -197,16 +193,6 @@ def test_what_a_grasp_needs_follows_from_force_lever_and_inertia(tmp_path):
         assert found == pytest.approx(expected, rel=1e-6)
 
 
-def stalled(folder, scale, mass, moment):
-    """Stop the commands of a guarded loop at a time, s; return it one second later."""
-    chosen = scaled(folder, scale, mass)
-    guarded = GuardedLoop(chosen)
-    guarded.run(moment)
-    watch = Watch(guarded)
-    watch.run(1.0, answers=False)
-    return watch
-
-
 @example(scale=0.25, mass=0.01, moment=0.5)  # the lightest
 @settings(max_examples=3, derandomize=True, suppress_health_check=list(HealthCheck), deadline=None)
 @given(
@@ -215,8 +201,23 @@ def stalled(folder, scale, mass, moment):
     moment=st.floats(0.3, 0.6),
 )
 def test_hands_of_any_size_keep_the_object_while_commands_stop(tmp_path, scale, mass, moment):
-    outcome = stalled(tmp_path, scale, mass, moment)
-    assert not outcome.is_lost and outcome.moved < 3e-3
+    guarded = GuardedLoop(scaled(tmp_path, scale, mass))
+    guarded.run(moment)
+    watch = Watch(guarded)
+    watch.run(1.0, answers=False)
+    assert not watch.is_lost and watch.moved < 3e-3
+
+
+def held_late(guarded, seconds):
+    """Hold from now on with torques three ticks late, and return what was watched."""
+    controller = guarded.loop.controller
+    controller.step = lambda stamp, theta, rates, *_: controller.hold(
+        theta, rates, "silence", stamp=stamp
+    )
+    watch = Watch(guarded)
+    watch.run(seconds, answers=True, delay=3)
+    assert guarded.loop.state.contacts.all_touching
+    return watch
 
 
 @pytest.mark.parametrize(("mass", "warns"), [(0.05, False), (0.01, True)])
@@ -224,22 +225,14 @@ def test_a_grasp_that_the_controller_could_not_hold_is_warned_of_and_only_that(
     tmp_path, mass, warns
 ):
     """At 1 kHz with torques three ticks late, 50 g per link are enough, 10 g are not."""
-    chosen = scaled(tmp_path, 0.25, mass)
-    guarded = GuardedLoop(chosen)
+    guarded = GuardedLoop(scaled(tmp_path, 0.25, mass))
     guarded.run(0.5)
-    loop, controller = guarded.loop, guarded.loop.controller
-    assert bool(controller.warning) == warns
+    warning = guarded.loop.controller.warning
+    assert bool(warning) == warns
     if warns:
-        assert (
-            "would buckle: at 1000 Hz the hold has a bandwidth of 125 rad/s" in controller.warning
-        )
-        return
-    controller.step = lambda stamp, theta, rates, *_: controller.hold(
-        theta, rates, "silence", stamp=stamp
-    )
-    watch = Watch(guarded)
-    watch.run(1.0, answers=True, delay=3)
-    assert watch.moved < 3e-3 and loop.state.contacts.all_touching
+        assert "would buckle: at 1000 Hz the hold has a bandwidth of 125 rad/s" in warning
+    else:
+        assert held_late(guarded, 1.0).moved < 3e-3
 
 
 @pytest.mark.parametrize(("situation", "farthest"), [("heavy", 5e-3), ("moving", 4e-3)])
@@ -247,13 +240,7 @@ def test_holds_what_is_heavy_and_what_moves_also_with_torques_three_ticks_late(s
     """At 250 Hz; a spring that is too soft lets two fingers buckle."""
     guarded = GuardedLoop(scenario(situation, "processes"))
     guarded.run(SITUATIONS[situation].time + 0.1)
-    loop, controller = guarded.loop, guarded.loop.controller
-    controller.step = lambda stamp, theta, rates, *_: controller.hold(
-        theta, rates, "silence", stamp=stamp
-    )
-    watch = Watch(guarded)
-    watch.run(2.0, answers=True, delay=3)
-    assert watch.moved < farthest and loop.state.contacts.all_touching
+    assert held_late(guarded, 2.0).moved < farthest
 
 
 @pytest.mark.parametrize("tick", [0.0005, 0.002, 0.01])
@@ -334,15 +321,3 @@ def test_with_encoders_only_what_moves_the_object_is_damped_as_k_f_needs_it(tmp_
     # Torques that are two ticks late allow half as much.
     gains = fitted_gains(hand, theta, contacts, *how, 2)
     assert np.sort(bandwidths(1e9))[-6:] == pytest.approx(500.0, rel=1e-6)
-
-
-def test_a_hand_of_human_size_needs_no_gain_also_with_commands_that_are_a_tick_late():
-    loop = ClosedLoop(load_scenario("human_hold", {"duration": 1.0}))
-    hand, waiting = loop.plant.hand, []
-    record = Record.empty(400, hand.finger_names, hand.joint_names)
-    for row in range(400):
-        waiting.append(loop.answer(record, row).torque)
-        loop.advance(waiting[max(0, row - 1)])
-    assert not np.isnan(record.true_positions).any()
-    assert np.abs(record.rates[-100:]).max() < 1.0
-    assert record.true_slid[-1].max() < 1e-4

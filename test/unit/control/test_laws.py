@@ -1,10 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The laws (8), (10), (14) against their formulas, and the resulting physics."""
+"""The laws (8), (10), (14) against their formulas, and what the joints can bear of them."""
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from support.equations import grasp_map, hand_jacobian, rotation_error
-from support.grasps import moved
+from support.grasps import FORCES, balance_in_frames
 
 from tactile_hand_ros.control.contact import Contacts, contact_frame
 from tactile_hand_ros.control.laws import (
@@ -15,6 +17,7 @@ from tactile_hand_ros.control.laws import (
     NormalForceControl,
     OptimalLaw,
     Target,
+    bearable_fraction,
 )
 from tactile_hand_ros.control.optimizer.force_optimizer import ForceOptimizer, ForceOptimizerConfig
 from tactile_hand_ros.hand.hand import Hand
@@ -22,7 +25,6 @@ from tactile_hand_ros.rotations import rotation_from_vector
 
 RADII = np.array([0.06, 0.05, 0.04])
 K_F, DT = 7.0, 0.002
-FORCES = np.array([[0.3, 4.0, -0.2], [0.1, 2.5, 0.6], [-0.4, 3.0, 0.5]])
 GAINS = {"k_p": 3.0, "k_o": 0.5, "damping": 0.07, "k_st": 0.3, "r_ref": (0.1, -0.2, 0.3)}
 
 
@@ -62,16 +64,12 @@ class Grip:
 
     def net(self, forces):
         """Return the wrench of forces in contact frames about the centroid, shape (6,)."""
-        in_palm = [r @ f for r, f in zip(self.contacts.rotations, forces, strict=True)]
-        return self.about_centroid @ np.concatenate(in_palm)
-
-    @property
-    def about_centroid(self):
-        return grasp_map(self.contacts.positions, self.contacts.positions.mean(axis=0))
+        return balance_in_frames(self.contacts) @ forces.ravel()
 
     def carrying(self, wrench):
         """Return the torques of (14) for a wrench, J_h^T G~^+ wrench, shape (9,)."""
-        return self.jacobian.T @ np.linalg.pinv(self.about_centroid) @ wrench
+        about_centroid = grasp_map(self.contacts.positions, self.contacts.centroid)
+        return self.jacobian.T @ np.linalg.pinv(about_centroid) @ wrench
 
 
 @pytest.fixture
@@ -248,29 +246,6 @@ def test_a_load_observer_that_is_switched_off_forgets(grip):
     np.testing.assert_array_equal(again, expected)
 
 
-def test_reset_forgets_frame_integral_and_load(grip):
-    """For an upside-down grasp, the side of its plane is chosen again, along palm +z."""
-    config = LawConfig(integral={"k_p": 2.0, "k_o": 0.4}, observer={"time": 0.02})
-    law, fresh = ManipulationLaw(config, RADII), ManipulationLaw(config, RADII)
-    for _ in range(20):
-        grip.torque("optimal", law=law, forces=FORCES)
-    turned = moved(grip.contacts, rotation_from_vector([3.0, 0.3, 0.2]), np.zeros(3))
-    assert law.auxiliary_pose(grip.tips, turned).orientation[2, 2] < 0.0
-    law.reset()
-    np.testing.assert_array_equal(
-        law.auxiliary_pose(grip.tips, turned).orientation,
-        fresh.auxiliary_pose(grip.tips, turned).orientation,
-    )
-    law.reset()
-    fresh.reset()
-    for _ in range(3):
-        again = grip.torque("optimal", law=law, forces=FORCES)
-        np.testing.assert_array_equal(
-            again.total, grip.torque("optimal", law=fresh, forces=FORCES).total
-        )
-    np.testing.assert_array_equal(law.integral_wrench, fresh.integral_wrench)
-
-
 SHARES = np.array([0.5, 0.2, 0.3])
 
 
@@ -302,3 +277,33 @@ def test_a_dead_skin_and_a_crush_limit_bound_the_correction_of_a_grip():
     assert NormalForceControl().step(10.0, SHARES, np.full(3, 99.0), -3.0, 2.0, 1e3, 0.01) == 7.0
     unknown = np.array([1.0, np.nan, 1.0])
     assert NormalForceControl().step(10.0, SHARES, unknown, -3.0, 2.0, 1e3, 0.01) == 10.0
+
+
+TORQUES = st.lists(st.floats(-60.0, 60.0), min_size=9, max_size=9).map(np.array)
+
+
+@given(TORQUES, TORQUES)
+def test_the_bearable_fraction_is_the_largest_within_the_limits_where_the_rest_is(force, rest):
+    limits = np.full(9, 20.0)
+    rest = np.clip(rest, -19.0, 19.0)
+    share = bearable_fraction(force, rest, limits)
+    assert (np.abs(share * force + rest) <= limits * (1.0 + 1e-12)).all()
+    if share < 1.0:
+        assert (np.abs((share + 1e-6) * force + rest) > limits).any()
+
+
+@pytest.mark.parametrize(
+    ("force", "rest", "share"),
+    [
+        (10.0, 10.0, 1.0),  # just at the limit
+        (-10.0, -10.0, 1.0),
+        (10.0, 15.0, 0.5),
+        (-10.0, -15.0, 0.5),
+        (5.0, 30.0, 0.0),  # already beyond it
+        (-5.0, 30.0, 1.0),  # a grasp force that relieves the joint
+        (0.0, 30.0, 1.0),
+    ],
+)
+def test_a_joint_gives_what_its_limit_leaves(force, rest, share):
+    others = np.array([1.0, force, -1.0]), np.array([0.0, rest, 0.0])
+    assert bearable_fraction(*others, np.array([5.0, 20.0, 5.0])) == pytest.approx(share)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Forces split into load and internal force, cones, and the k_f that holds."""
+"""Forces split into load and internal force, cones, the k_f that holds, and observed loads."""
 
 import math
 
@@ -7,11 +7,17 @@ import numpy as np
 import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
-from support.grasps import balance_in_frames, grasps, moved, three_faces
+from support.grasps import FORCES, balance_in_frames, grasps, moved, three_faces
 
 from tactile_hand_ros.control.contact import Contacts, in_palm
 from tactile_hand_ros.control.grasp import collinearity_margin
-from tactile_hand_ros.control.loads import CarriedLoad, required_grasp_force, split
+from tactile_hand_ros.control.loads import (
+    CarriedLoad,
+    LoadObserver,
+    ObserverConfig,
+    required_grasp_force,
+    split,
+)
 from tactile_hand_ros.control.optimizer.cones import INSIDE, Cones, grasp_frames, reaches
 from tactile_hand_ros.control.optimizer.force_optimizer import ForceOptimizer, ForceOptimizerConfig
 from tactile_hand_ros.rotations import rotation_from_vector
@@ -176,3 +182,71 @@ def test_after_an_interruption_the_loads_before_it_are_forgotten(happens):
     happens(optimizer)
     found = optimizer.step(5 * MS, GRASP, LIGHT, 5.0)
     np.testing.assert_allclose(found.forces, made([(0, LIGHT, 5.0)]).forces, atol=1e-9)
+
+
+TIME, DT = 0.05, 0.002
+UNLIMITED = {"force_limit": 1e3, "torque_limit": 1e3}
+NET = balance_in_frames(GRASP) @ FORCES.ravel()  # of the grasp, about its centroid
+
+
+def settled(config):
+    """Return an observer after a hundred time constants with constant forces."""
+    observer = LoadObserver()
+    observer.step(config, GRASP, FORCES, 100.0 * config.time)
+    return observer
+
+
+def test_a_step_is_met_as_by_a_low_pass():
+    """After n ticks it has 1 - exp(-n dt / T) of the step, for any tick length."""
+    config = ObserverConfig(time=TIME, **UNLIMITED)
+    for ticks, dt in ((1, DT), (25, DT), (200, DT), (10, 0.005), (1, TIME)):
+        observer = LoadObserver()
+        for _ in range(ticks):
+            carried = observer.step(config, GRASP, FORCES, dt)
+        share = 1.0 - math.exp(-ticks * dt / TIME)
+        np.testing.assert_allclose(carried, share * NET, rtol=1e-12)
+    first = carried.copy()
+    np.testing.assert_array_equal(observer.step(config, GRASP, 3.0 * FORCES, 0.0), first)
+    second = observer.step(config, GRASP, -2.0 * FORCES, TIME)
+    np.testing.assert_allclose(second, math.exp(-1.0) * first - 2.0 * share * NET, rtol=1e-12)
+
+
+@pytest.mark.parametrize(("part", "name"), [(slice(0, 3), "force"), (slice(3, 6), "torque")])
+def test_force_and_torque_are_limited_each_for_itself_in_length_not_in_direction(part, name):
+    full = NET
+    limit = 0.7 * np.linalg.norm(full[part])
+    config = ObserverConfig(time=TIME, **{**UNLIMITED, f"{name}_limit": limit})
+    expected = full.copy()
+    expected[part] *= 0.7
+    np.testing.assert_allclose(settled(config).wrench, expected, rtol=1e-12)
+
+
+def test_the_limited_load_does_not_wind_up():
+    config = ObserverConfig(time=TIME, force_limit=0.5, torque_limit=0.01)
+    observer = LoadObserver()
+    for _ in range(1000):
+        carried = observer.step(config, GRASP, FORCES, DT)
+    full = carried.copy()
+    np.testing.assert_allclose(
+        [np.linalg.norm(full[:3]), np.linalg.norm(full[3:])], [0.5, 0.01], rtol=1e-12
+    )
+    gone = observer.step(config, GRASP, np.zeros((3, 3)), DT)
+    np.testing.assert_allclose(gone, math.exp(-DT / TIME) * full, rtol=1e-12)
+    np.testing.assert_array_equal(carried, full)  # what was handed out does not change later
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
+def test_lost_forces_keep_the_load_until_they_return(value):
+    config = ObserverConfig(time=TIME, **UNLIMITED)
+    observer = settled(config)
+    before = observer.wrench.copy()
+    lost = FORCES.copy()
+    lost[1, 2] = value
+    for _ in range(3):
+        np.testing.assert_array_equal(observer.step(config, GRASP, lost, DT), before)
+    positions = GRASP.positions.copy()
+    positions[2] = value
+    apart = Contacts(positions, GRASP.rotations)  # a lost point, though its force is known
+    np.testing.assert_array_equal(observer.step(config, apart, 2.0 * FORCES, DT), before)
+    doubled = observer.step(config, GRASP, 2.0 * FORCES, DT)
+    np.testing.assert_allclose(doubled, (2.0 - math.exp(-DT / TIME)) * before, rtol=1e-12)

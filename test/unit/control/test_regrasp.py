@@ -7,7 +7,6 @@ from support.grasps import contacts_at
 
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
 from tactile_hand_ros.closed_loop.record import Record
-from tactile_hand_ros.control.contact import Contacts
 from tactile_hand_ros.control.regrasp import Regrasp, RegraspConfig
 from tactile_hand_ros.hand.hand import Hand
 from tactile_hand_ros.scenario.scenario import load_scenario
@@ -65,11 +64,7 @@ class Fingers:
 
     def touched_by(self, *fingers):
         """Return contacts of the named fingers, NaN for the others."""
-        there = np.isin(np.arange(3), fingers)
-        return Contacts(
-            np.where(there[:, None], self.grip.positions, np.nan),
-            np.where(there[:, None, None], self.grip.rotations, np.nan),
-        )
+        return self.grip.without(~np.isin(np.arange(3), fingers))
 
     def depths(self, ticks, *touching):
         """Return how far the fingers are along their normals after ticks, shape (3,), mm."""

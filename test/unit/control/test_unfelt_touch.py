@@ -3,8 +3,8 @@
 
 import numpy as np
 import pytest
-from support.controllers import FEELING, FORCES, REST, Bench
-from support.grasps import contacts_at
+from support.controllers import FEELING, REST, Bench
+from support.grasps import FORCES, contacts_at
 from support.hands import write_hand
 
 from tactile_hand_ros.control.contact import Contacts, hand_jacobian, in_palm, joint_torques

@@ -6,7 +6,7 @@ import warnings
 import numpy as np
 import pytest
 import trimesh
-from support.hands import posture_for, write_hand
+from support.hands import changed, posture_for, write_hand
 
 from tactile_hand_ros.errors import (
     CollinearContactsError,
@@ -18,8 +18,10 @@ from tactile_hand_ros.errors import (
     TactileHandError,
 )
 from tactile_hand_ros.hand.hand import Hand
+from tactile_hand_ros.scenario.link_collisions import LinkCollisions
 from tactile_hand_ros.scenario.preflight import check_scenario
 from tactile_hand_ros.scenario.scenario import load_scenario
+from tactile_hand_ros.simulation.solid import Solid
 
 
 def check(**changes):
@@ -139,3 +141,23 @@ def test_a_mesh_whose_hull_is_another_body_is_reported(tmp_path, depth, reported
     texts = [text for each in seen if "convex hull" in (text := str(each.message))]
     assert len(texts) == len(reported)
     assert all(part in text for part, text in zip(reported, texts, strict=True))
+
+
+def test_links_inside_the_object_are_named_and_tips_are_not(tmp_path):
+    box = '<collision><geometry><box size="0.02 0.02 0.02"/></geometry></collision></link>'
+    shapes = [(f'<link name="{n}"/>', f'<link name="{n}">{box}') for n in ("f2_base", "f1_tip")]
+    hand = changed(write_hand(tmp_path, [3, 3, 3]), *shapes)
+    theta, level = np.full(9, 0.4), np.eye(3)
+    links = LinkCollisions(hand, Solid.box(np.array([0.1, 0.04, 0.04])))
+    base, tip = hand.bases[1], hand.tip_positions(theta)[0]
+    # The two overlap along x; turned by 90 degrees, the long box is too short.
+    beside = base + np.array([0.055, 0.0, 0.0])
+    assert links.touching(theta, beside, level) == ["f2_base"]
+    assert links.touching(theta, beside, np.array([[0, -1, 0], [1, 0, 0], [0, 0, 1.0]])) == []
+    assert links.touching(theta, base + np.array([0.065, 0.0, 0.0]), level) == []
+    assert links.touching(theta, tip, level) == []
+
+
+def test_a_hand_without_shapes_touches_nothing():
+    links = LinkCollisions(Hand.load("human"), Solid.box(np.full(3, 0.2)))
+    assert links.touching(np.zeros(9), np.zeros(3), np.eye(3)) == []

@@ -3,7 +3,6 @@
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
 from support.plants import jacobian, plant
 
 from tactile_hand_ros.control.contact import contact_frame
@@ -69,17 +68,6 @@ def test_a_matrix_that_has_drifted_comes_back_to_the_nearest_rotation():
     np.testing.assert_allclose(scene.step().rotation, expected, atol=1e-14)
     scene.step()
     np.testing.assert_allclose(scene.step().rotation, nearest, atol=1e-14)
-
-
-def test_a_steady_spin_turns_about_its_axis_in_the_palm_and_rotations_stay_rotations():
-    scene, spin = Scene(**FAR), np.array([3.0, -5.0, 8.0])
-    start = rotation_from_vector([0.7, -0.4, 1.1])
-    scene.turned(start)
-    for _ in range(50):
-        turned = scene.step(spin=spin).rotation
-    expected = Rotation.from_rotvec(50 * H * spin).as_matrix() @ start
-    np.testing.assert_allclose(turned, expected, atol=1e-13)
-    np.testing.assert_allclose(turned.T @ turned, np.eye(3), atol=2e-15)
 
 
 def test_each_finger_rubs_with_its_own_friction_and_slides_its_own_way():

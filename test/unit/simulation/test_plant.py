@@ -206,16 +206,6 @@ def test_fingers_that_bend_in_a_plane_close_a_gap_beside_it(tmp_path):
     assert np.abs(made.state.theta - theta).max() > 1e-3
 
 
-def test_a_turned_object_is_met_on_its_edges():
-    """At 45 degrees about z the fingers touch edges; the normals still point at the axis."""
-    edge = 0.2604 / 2.0**0.5
-    world = plant(object__rotation=(0.0, 0.0, np.pi / 4.0), object__size=(edge, edge, 0.2604))
-    state = world.state
-    assert state.contacts.touching.all()
-    expected = [[-1.0, 0, 0], [1.0, 0, 0], [0, -1.0, 0]]
-    np.testing.assert_allclose(state.contacts.normals, expected, atol=1e-3)
-
-
 @pytest.mark.parametrize("angles", [[1.0], [1.0] * 6, []])
 def test_a_wrong_number_of_initial_angles_is_refused(angles):
     with pytest.raises(ConfigurationError, match=r"expected 9.*or 3 for every finger"):

@@ -37,13 +37,6 @@ def without_finger(contacts, finger):
     return contacts.without(np.arange(3) == finger)
 
 
-def test_weights_may_differ_from_contact_to_contact():
-    weights = [10.0, 5.0, 10.0, 8.0, 1.0, 10.0, 10.0, 0.5, 3.0]
-    found = optimizer(weights=weights).solve(three_faces())
-    expected = best_forces(three_faces(), np.array(weights))
-    np.testing.assert_allclose(found.forces, expected, atol=1e-10)
-
-
 def beside():
     """Finger 3 next to two opposed ones: the bound on its normal force is active."""
     points = np.array([[HALF, 0.0, 0.0], [-HALF, 0.0, 0.0], [0.0, HALF, 0.05]])

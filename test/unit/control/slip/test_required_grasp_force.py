@@ -131,19 +131,6 @@ def test_with_a_reserve_every_load_within_its_radius_finds_the_grasp_force_ready
     assert ready == pytest.approx(smallest, rel=0.02)
 
 
-def test_the_reserve_follows_the_largest_load_of_the_recent_past():
-    need = required(floor=0.0, fraction=0.3)
-    for _ in range(100):
-        step(need, parts(5.0 * WEIGHT, 6.0 * SHAPE))
-    soon = np.diff(step(need, parts(WEIGHT, 6.0 * SHAPE), dt=0.2))
-    np.testing.assert_allclose(need.reserve, [1.5 * np.exp(-0.04)] * 2 + [0.0])
-    for _ in range(3000):
-        later = np.diff(step(need, parts(WEIGHT, 6.0 * SHAPE), dt=0.01))
-    shift = np.sqrt(1.0 + 1.0 / 0.25) / 0.475
-    assert later == pytest.approx(0.3 * shift, rel=1e-6)
-    assert soon == pytest.approx(5.0 * np.exp(-0.04) * 0.3 * shift, rel=1e-6)
-
-
 def test_the_usable_friction_is_for_measured_loads_and_not_for_the_reserve():
     load = parts(3.0 * WEIGHT, 6.0 * SHAPE)
     need = at_once(floor=0.03)
