@@ -155,7 +155,7 @@ class ManipulationControllerNode(TactileNode[ControllerConfig]):
         self._rehearse()
         self._report = ControllerReport(self, self._controller.hand)
         self._tick: int | None = None
-        self._time_waits, self._is_unsent = time_waits, False
+        self._time_waits, self._is_unsent, self._is_limited = time_waits, False, False
         self._answer: tuple[int, Command] | None = None
         self._changes = AppliedChanges(self, names.CONTROLLER, commands=True)
         self._changes.begin(self.config)
@@ -412,7 +412,11 @@ class ManipulationControllerNode(TactileNode[ControllerConfig]):
     def _limited(self, torque: Array) -> Array:
         """Clip a torque to the joints' effort limits, and warn if it exceeds them."""
         is_over = bool((np.abs(torque) > self._limits).any())
-        self.diagnostics.judge("torque", is_over, _AT_LIMIT, WARN)
+        if is_over:
+            self.diagnostics.fault("torque", _AT_LIMIT, WARN)
+        elif self._is_limited:
+            self.diagnostics.clear("torque")
+        self._is_limited = is_over
         return np.clip(torque, -self._limits, self._limits) if is_over else torque
 
 

@@ -213,7 +213,7 @@ class TickInputs:
         topics = [topic for stream in streams for topic in stream.decoders]
         self._trigger = topics[0]
         self._answer = node.guarded("ticks", self._answer_waiting)
-        self._senders = SenderCheck(lambda: 1e-9 * clock())
+        self._senders, self._contested = SenderCheck(lambda: 1e-9 * clock()), False
         node.diagnostics.expects = self._trigger
         self._matcher = StampMatcher(topics)
         self._newest: int | None = None  # trigger [ns], and an unconfirmed one ahead of it
@@ -240,8 +240,10 @@ class TickInputs:
 
     def _take_trigger(self, decode: Decode, data: bytes, info: Mapping[str, Any]) -> None:
         stamp, value = decode(data)
-        contested = self._senders.note(info)
-        self._node.diagnostics.judge("senders", contested, two_senders(self._trigger))
+        was_contested, contested = self._contested, self._senders.note(info)
+        self._contested = contested
+        if contested or was_contested:
+            self._node.diagnostics.judge("senders", contested, two_senders(self._trigger))
         if contested or self._is_unconfirmed(stamp):
             return
         if self._matcher.is_late(stamp):

@@ -246,11 +246,9 @@ def _apply(change: Change, node: str, block: Any) -> None:
         block.enabled = value
     elif name == names.JOINT_HOLD:
         block.joints_held = value
-    elif value:
-        block.grasp()
     else:
         with contextlib.suppress(GraspError):  # another law may not have had a grasp
-            block.release()
+            block.grasp() if value else block.release()
 
 
 class _AtItsTicks:

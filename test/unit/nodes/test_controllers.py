@@ -334,8 +334,8 @@ def test_where_a_guard_holds_the_joints_a_blind_tick_is_not_answered(here):
     sent = tapped(node)
     topic = names.accepted_requests(names.CONTROLLER)
     here.receive(DiagnosticArray, topic)
-    tick(node, 0)
     here.wait(lambda: node.joints_held, "the hold")
+    tick(node, 0)
     node.on_blind_tick(TICK, JOINTS, "no contacts")
     assert len(sent["joint_command"]) == 1
     tick(node, 2 * TICK)
@@ -347,7 +347,7 @@ def test_where_a_guard_holds_the_joints_a_blind_tick_is_not_answered(here):
     assert torque(sent)[0] == 4 * TICK
     held = [each for each in asked(here.messages(topic, 6)) if each[0] == names.JOINT_HOLD]
     assert held == [
-        (names.JOINT_HOLD, "true", 2 * TICK),
+        (names.JOINT_HOLD, "true", 0),
         (names.JOINT_HOLD, "true", 3 * TICK),
         (names.JOINT_HOLD, "false", 4 * TICK),
     ]
