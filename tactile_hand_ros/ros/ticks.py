@@ -53,7 +53,7 @@ class StampMatcher:
             All values of the tick in the order of the keys if it is now complete, else None.
         """
         last = self.last
-        if stamp_ns == last or self.is_late(stamp_ns):
+        if stamp_ns == last or self.lateness(stamp_ns):
             return None
         values = self.pending.setdefault(stamp_ns, {})
         values[key] = value
@@ -68,10 +68,10 @@ class StampMatcher:
             del self.pending[next(iter(self.pending))]  # the first to arrive
         return None
 
-    def is_late(self, stamp_ns: int) -> bool:
-        """Return whether a tick [ns] is before the last complete one without being a restart."""
-        last = self.last
-        return last is not None and 0 < stamp_ns < last <= stamp_ns + _SECOND
+    def lateness(self, stamp_ns: int) -> int:
+        """Return how long a tick [ns] is before the last one [ns]; 0 for a new one or a restart."""
+        late = 0 if self.last is None else self.last - stamp_ns
+        return late if stamp_ns > 0 and 0 < late <= _SECOND else 0
 
     def rarest(self) -> list[str]:
         """Return the keys that fewest pending timestamps have, or one more than that.
@@ -246,8 +246,7 @@ class TickInputs:
             self._node.diagnostics.judge("senders", contested, two_senders(self._trigger))
         if contested or self._is_unconfirmed(stamp):
             return
-        if self._matcher.is_late(stamp):
-            late = 1e-9 * (self._matcher.last or 0) - 1e-9 * stamp
+        if late := 1e-9 * self._matcher.lateness(stamp):
             self._node.reject(
                 self._trigger, f"its timestamp is {late:.3g} s before the last tick; it is ignored"
             )
