@@ -91,9 +91,9 @@ def _begin(study: Study, folder: Path) -> set[int]:
     files.replace_text(file, text)
     kept = rows.read_text("utf-8") if rows.is_file() else ""
     whole = kept[: kept.rfind("\n") + 1]  # a kill may have cut off the last line
-    if whole != kept or not rows.exists():
+    if whole != kept:
         files.replace_text(rows, whole)
-    return {int(row[INDEX]) for row in _rows(folder)}
+    return {int(row[INDEX]) for row in _rows(folder)} if kept else set()
 
 
 def _parsed(file: Path) -> dict[str, Any]:
