@@ -11,7 +11,13 @@ from tactile_hand_ros.closed_loop.loop import ClosedLoop
 from tactile_hand_ros.closed_loop.record import Record
 from tactile_hand_ros.control.contact import Contacts
 from tactile_hand_ros.control.controller import Mode
-from tactile_hand_ros.control.laws import AuxiliaryPose, LawConfig, ManipulationLaw, Target
+from tactile_hand_ros.control.laws import (
+    AuxiliaryPose,
+    LawConfig,
+    LawInput,
+    ManipulationLaw,
+    Target,
+)
 from tactile_hand_ros.control.loads import CarriedLoad
 from tactile_hand_ros.control.optimizer.force_optimizer import (
     ForceOptimizer,
@@ -175,14 +181,14 @@ def test_the_pose_and_the_carried_wrench_survive_a_change_of_the_fingers_that_to
     tips = Fingertips(contacts.positions, np.zeros((4, 3, 12)), np.zeros((4, 3, 12)))
     before = law.auxiliary_pose(tips, contacts)
     target = before._replace(position=before.position + [0.01, 0.02, 0.03])
-    law.step(tips, np.zeros(12), contacts, np.zeros((4, 3)), 1.0, target, before, 0.1)
-    wrench, middle = law.integral_wrench, contacts.centroid
+    law.step(LawInput(tips, contacts, np.zeros((4, 3)), 1.0), np.zeros(12), target, before, 0.1)
+    wrench, middle = law.integral.copy(), contacts.centroid
     fewer = contacts.part(np.array([True, True, False, True]))
     law.change_fingers()
     after = law.auxiliary_pose(tips, fewer)
     assert after.position == pytest.approx(before.position)
     assert after.orientation == pytest.approx(before.orientation)
-    moved = law.integral_wrench
+    moved = law.integral
     assert moved[:3] == pytest.approx(wrench[:3]) and np.linalg.norm(wrench[:3]) > 0.1
     torques = [w[3:] + np.cross(c, w[:3]) for w, c in ((wrench, middle), (moved, fewer.centroid))]
     assert torques[1] == pytest.approx(torques[0])
