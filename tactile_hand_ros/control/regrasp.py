@@ -44,12 +44,7 @@ class Regrasp:
         return self.active and self._closing
 
     def leave(self, theta: Array, contacts: Contacts) -> None:
-        """Start to open, and stay open afterwards.
-
-        Args:
-            theta: Joint angles, shape (m,), rad.
-            contacts: Contacts of the grasp, palm frame.
-        """
+        """Start to open from the joint angles, (m,), rad, and contacts of a grasp; stay open."""
         self.active = True
         self._normals = np.where(contacts.touching[:, None], contacts.normals, 0.0)
         self._tips = self._hand.fingertips(theta).positions
@@ -81,11 +76,9 @@ class Regrasp:
             self._posture = theta.copy()
 
     def posture(self, contacts: Contacts, dt: float) -> Array:
-        """Return the joint angles to hold now, shape (m,), rad; call `leave` first.
+        """Return the joint angles to hold now, shape (m,), rad, `dt` s after the last tick.
 
-        Args:
-            contacts: Contacts by touch.
-            dt: Time since the last tick, s.
+        The contacts are those by touch. Call `leave` first.
         """
         c = self._config
         if self._closing:
