@@ -556,21 +556,22 @@ def test_open_fingers_that_were_moved_while_disabled_do_not_spring_back(bench):
     assert 0.0 < np.abs(bench.step(10, theta=there).torque).max() < 0.5
 
 
-@pytest.mark.parametrize("wound_up", ["integral", "reference"])
-def test_while_the_joints_are_held_nothing_winds_up(wound_up):
-    """After 400 held ticks the torque equals the first one, and then changes continuously."""
-    values = {"law__integral__k_p": 20.0} if wound_up == "integral" else {"reference_time": 0.1}
-    bench = Bench(**values)
-    bench.controller.targets.command(bench.target(0.05, 0.0, 0.0))
-    bench.step(3)
-    bench.controller.joints_held = True
-    first = bench.step().torque
-    held = bench.step(400).torque
-    np.testing.assert_allclose(held, first, atol=1e-12)
-    bench.controller.joints_held = False
-    free = [bench.step().torque for _ in range(30)]
-    assert np.abs(free[0] - held).max() < 0.001
-    assert np.abs(free[-1] - held).max() > 0.002
+@pytest.mark.parametrize("values", [{"law__integral__k_p": 20.0}, {"reference_time": 0.1}])
+def test_after_a_hold_integral_and_reference_go_on_as_if_there_had_been_none(values):
+    """Otherwise, many short holds would lose the reference's lead against a load each time."""
+
+    def torques(held_ticks):
+        bench = Bench(**values)
+        bench.controller.targets.command(bench.target(0.05, -0.02, 0.01))
+        before = [bench.step().torque for _ in range(20)]
+        bench.controller.joints_held = True
+        for _ in range(held_ticks):
+            bench.step()
+        bench.controller.joints_held = False
+        return np.array(before + [bench.step().torque for _ in range(20)])
+
+    np.testing.assert_array_equal(torques(held_ticks=50), torques(held_ticks=0))
+    assert np.ptp(torques(0)[20:], axis=0).max() > 1e-3
 
 
 def test_what_a_guard_carries_is_carried_from_the_first_tick_that_acts_again():
@@ -587,22 +588,6 @@ def test_what_a_guard_carries_is_carried_from_the_first_tick_that_acts_again():
     wanted = settled.step(forces=heavy).torque
     assert np.abs(before - wanted).max() > 0.1
     np.testing.assert_allclose(after, wanted, atol=1e-6)
-
-
-def test_after_a_hold_the_reference_goes_on_where_and_as_fast_as_it_was():
-    """Otherwise, many short holds would lose the reference's lead against a load each time."""
-
-    def torques(held_ticks):
-        bench = Bench(reference_time=0.1)
-        bench.controller.targets.command(bench.target(0.05, -0.02, 0.01))
-        before = [bench.step().torque for _ in range(20)]
-        bench.controller.joints_held = True
-        for _ in range(held_ticks):
-            bench.step()
-        bench.controller.joints_held = False
-        return np.array(before + [bench.step().torque for _ in range(20)])
-
-    np.testing.assert_array_equal(torques(held_ticks=50), torques(held_ticks=0))
 
 
 @pytest.mark.parametrize("held", [False, True])
