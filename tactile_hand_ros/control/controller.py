@@ -149,13 +149,6 @@ class Held(NamedTuple):
     load: Array
     grasp_force: float = 0.0
 
-    def raised(self, grasp_force: float) -> Held:
-        """Return it with the internal force of a larger k_f, N, which never falls."""
-        if not (self.grasp_force > 0.0 and self.grasp_force < grasp_force < math.inf):
-            return self
-        factor = grasp_force / self.grasp_force
-        return Held(factor * self.internal, self.load, grasp_force)
-
 
 class Command(NamedTuple):
     """The answer of the controller to one tick.
@@ -631,12 +624,14 @@ class Controller:
         return Command(fraction * held.internal + rest, Mode.HOLD, None, reason)
 
     def _kept(self, theta: Array, applied: Array | None, grasp_force: float) -> Held:
-        """Return the torques to keep, for a k_f in N and the torques since the last tick."""
+        """Return the torques to keep: those since the last tick, or raised for a larger k_f, N."""
         if self._held is None:
             if applied is None or not applied.any() or not all_finite(applied):
                 return Held(self._none, self._none)  # still unknown
             self._held = Held(applied - self._weight(theta), self._none)
-        self._held = self._held.raised(grasp_force)
+        internal, load, before = self._held
+        if 0.0 < before < grasp_force < math.inf:
+            self._held = Held(grasp_force / before * internal, load, grasp_force)
         return self._held
 
     def _spring(self, theta: Array, rates: Array) -> Array:

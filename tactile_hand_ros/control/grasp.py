@@ -278,7 +278,8 @@ class VirtualFrame:
         arms = centered(points)
         if self._start is None:
             self._start = arms, self._plane_frame(_leading(points))
-        return turned_frame(*self._start, arms)
+        before, frame = self._start
+        return best_rotation(before, arms) @ frame
 
     def _line_frame(self, points: Array) -> Array:
         along = points[0] - points[1]
@@ -343,12 +344,6 @@ def _frame_of_plane(points: Array) -> tuple[Array, float]:
     z0, z1, z2 = u / length, v / length, w / length
     y0, y1, y2 = cross((z0, z1, z2), (x0, x1, x2))
     return np.array([[x0, y0, z0], [x1, y1, z1], [x2, y2, z2]]), margin
-
-
-@compiled
-def turned_frame(before: Array, frame: Array, after: Array) -> Array:
-    """Return a frame that has turned with centered points, (k, 3), m, since `before`."""
-    return best_rotation(before, after) @ frame
 
 
 @compiled

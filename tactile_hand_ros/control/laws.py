@@ -312,18 +312,14 @@ class ManipulationLaw:
         if self._changed and self._pose is not None:
             before = self._pose
             self._offset = frame.T @ (before.position - position), frame.T @ before.orientation
-            self._move_wrenches(self._centroid - position)
+            for wrench in (self.integral, self._observer.wrench):  # about the new centroid
+                wrench[3:] += np.cross(self._centroid - position, wrench[:3])
         self._changed = False
         pose = AuxiliaryPose(position, frame)
         if self._offset is not None:
             pose = AuxiliaryPose(position + frame @ self._offset[0], frame @ self._offset[1])
         self._pose, self._centroid = pose, position
         return pose
-
-    def _move_wrenches(self, arm: Array) -> None:
-        """Move the reference point of the wrenches by -arm, shape (3,), m."""
-        for wrench in (self.integral, self._observer.wrench):
-            wrench[3:] += np.cross(arm, wrench[:3])
 
     def step(
         self,
