@@ -182,9 +182,9 @@ class ClosedLoop:
         record.contact_positions[row], record.contact_quaternions[row], record.forces[row] = touch
         record.object_position[row] = state.position
         record.object_quaternion[row] = quaternion_from_rotation(state.rotation)
-        record.true_positions[row], record.true_quaternions[row], record.true_forces[row] = (
-            state.touch
-        )
+        true = record.true_positions, record.true_quaternions, record.true_forces
+        for column, value in zip(true, state.touch, strict=True):
+            column[row] = value
         record.true_sliding[row], record.true_slid[row] = state.speeds, state.slid
         self._write(record, row, answer)
         return answer.command

@@ -141,10 +141,10 @@ class CommandGuard:
         command: TorqueCommand | None,
         refused: str = "",
     ) -> Array:
-        """Return the torque to apply from this tick, ns, on, shape (m,), N m.
+        """Return the torque to apply from the tick `stamp`, ns, on, shape (m,), N m.
 
-        Joint angles, rad, and rates, rad/s, are those of the tick; the command is the newest, None
-        before the first. `refused` is why commands are refused now, such as a second sender.
+        Joint angles, rad, and rates, rad/s, are those of the tick. The command is the newest one,
+        None before the first. `refused` is why commands are refused now, such as a second sender.
         """
         is_blind = not (np.isfinite(theta).all() and np.isfinite(rates).all())
         if is_blind and not self._past:

@@ -28,7 +28,7 @@ _LOOSE = 1e-9  # of the scatter, so that the turn about a line of contacts is fi
 
 @compiled
 def grasp_map(arms: Array, frames: Array) -> Array:
-    """Return the grasp map G with G_i^T = [I  -d_i^], shape (6, 3k), for forces along frames' axes.
+    """Return the grasp map G, (6, 3k), with G_i^T = [I  -d_i^], for forces along axes of frames.
 
     A unit force along an axis t at an arm d gives the wrench (t, d x t) on the object in palm axes.
 
@@ -80,7 +80,7 @@ def carried_along(
 
     The object moves with its contacts: by the twist v of G~^T v = J_h d(theta), in least squares.
     About the centroid it turns by S^-1 sum(d_i x dp_i), see `wrench_forces`. Its faces turn, and
-    the fingertips roll on them. Fingertips, positions, (k, 3), m, and frames, (k, 3, 3), are those
+    the fingertips roll on them. The arguments are fingertips, contact points, (k, 3), m, and frames
     before the joint angles change by `moved`, (m,), rad.
 
     Source: Shaw-Cortez et al., equation (6).

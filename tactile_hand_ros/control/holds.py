@@ -46,8 +46,8 @@ _INDEPENDENT = 1e-9  # of the largest singular value; smaller ones are rounding
 def stiffest(hand: Hand, inertia: Array, tick: float, late: float, error: float) -> float:
     """Return the largest bandwidth w of a hold with an inertia M_h, shape (m, m), rad/s.
 
-    Rates estimated from angles are half a tick, s, late, a torque at most `late` s. The largest
-    error of an angle, rad, is 0 for exact angles and rates.
+    Rates estimated from angles are late by half a `tick`, torques by at most `late`, s. `error` is
+    the largest error of an angle, rad; 0 for exact angles and rates.
     """
     if error == 0.0:
         return _PHASE / late
@@ -79,8 +79,8 @@ def required_bandwidth(
     """Return the smallest w, rad/s, at which a grasp does not buckle, with a margin.
 
     It grows with the square root of the internal forces, (k, 3), N, palm axes. All fingers touch.
-    The grasp may buckle in the motions, joint rates above twists, shape (m + 6, n), by default all
-    that keep the contacts.
+    `motions`, joint rates above twists, shape (m + 6, n), are those in which it may buckle; by
+    default all that keep the contacts.
     """
     m, tips = hand.joints, hand.fingertips(theta)
     motions = _motions(hand, tips, contacts) if motions is None else motions
@@ -192,10 +192,7 @@ def motions_of_object(hand: Hand, theta: Array, contacts: Contacts) -> int:
 
 
 def kept_contacts(hand: Hand, theta: Array, contacts: Contacts) -> Array:
-    """Return the projection of joint rates on those that keep all contacts, at theta, (m, m).
-
-    All fingers touch.
-    """
+    """Return the projection, (m, m), of joint rates on those that keep contacts of all fingers."""
     rates = _motions(hand, hand.fingertips(theta), contacts)[: hand.joints]
     return np.asarray(rates @ np.linalg.pinv(rates, rcond=_INDEPENDENT))
 
@@ -269,7 +266,7 @@ class GuardHold:
         self._config, self._hand, self._tick = config, hand, tick
 
     def engage(self, theta: Array, rates: Array, pressed: Array) -> None:
-        """Start a hold with angles, rad, rates, rad/s, and the torque tau_c of contacts, N m."""
+        """Start a hold at angles, rad, and rates, rad/s, with tau_c, N m, all of shape (m,)."""
         self._pressed, self._deflected = pressed.copy(), np.zeros(len(pressed))
         tips, inertia, _ = self._hand.dynamics(theta, rates)
         # A torque that is held for a tick is half a tick late; the other half is for the drive.
@@ -293,16 +290,16 @@ class GuardHold:
         return max(1.0, min(limit, 1.0 + float(np.min(joints, initial=np.inf))))
 
     def brake(self, theta: Array, rates: Array) -> None:
-        """Come to rest from these angles, rad, and rates, rad/s; the internal force stays."""
+        """Come to rest from angles, rad, and rates, rad/s; the internal force stays."""
         self._start, self._speed, self._ticks = theta.copy(), rates.copy(), 0
         self.reference = self._start, self._speed
 
     def step(self, joints: tuple[Array, Array] | None, terms: Dynamics, *, follows: bool) -> Array:
         """Return the holding torque, shape (m,), N m.
 
-        Joint angles, rad, and rates, rad/s, that are unknown, None, count as those of the
-        reference. `terms` is the model there. The internal force follows the load except while a
-        command takes over, whose drive is not a load.
+        `joints` are angles, rad, and rates, rad/s; None if unknown, as if they followed the
+        reference. `terms` is the model at this posture. The internal force follows the load, except
+        while a command takes over, whose drive is not a load.
         """
         acceleration = self._move_reference()
         posture, speed = self.reference

@@ -236,7 +236,7 @@ class Law(Protocol):
         """Return the torques of the internal force, shape (m,), N m."""
 
     def drive(self, wrench: Array) -> Array:
-        """Return the torques, (m,), N m, that apply a wrench about the contact centroid, (6,)."""
+        """Return the torques, (m,), N m, that apply a wrench, (6,), about the contact centroid."""
 
 
 LawFactory = Callable[[LawConfig, Array], Law]
@@ -478,7 +478,7 @@ class NormalForceControl:
         dt: float,
         age: float,
     ) -> float:
-        """Return k_f + c, N, from k_f, N, f*_n and measured normal forces, (k,), N.
+        """Return k_f + c, N, for k_f, N, fractions f*_n, (k,), and measured normal forces, (k,), N.
 
         c has a minimum and a maximum, N, since a dead skin never shows the wanted force. `dt` is
         the time since the last step, s, and `age` is d, s.

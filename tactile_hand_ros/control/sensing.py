@@ -51,10 +51,10 @@ class JointRates:
         self._count, self.error = 0, np.zeros(self._angles.shape[1])
 
     def step(self, stamp: int, theta: Array, rates: Array, error: float) -> Array:
-        """Return the rates at a tick, ns, from angles, rad, shape (m,), rad/s.
+        """Return the joint rates at a tick, ns, with angles theta, rad, shape (m,), rad/s.
 
-        They are the measured ones at the first tick and for exact angles, whose largest error, rad,
-        is 0.
+        They are the measured `rates` at the first tick, and if the largest `error` of an angle,
+        rad, is 0.
         """
         if error == 0.0:
             return rates
@@ -188,11 +188,11 @@ class UnfeltTouch:
         unfelt: NDArray[np.bool_],
         torque: Array,
     ) -> tuple[Contacts, Array | None] | None:
-        """Return contacts and forces of all fingers, with those of the unfelt ones, (k,), filled.
+        """Return contacts and forces of all fingers, those of the `unfelt` ones, (k,), filled in.
 
         None if they are unknown: without a touch of all, if no finger is felt, or if one has moved
-        off the object. Joint angles, rad, forces in contact frames, (k, 3), N, and the torque that
-        presses on the object, (m,), N m, are those of the tick.
+        off the object. The forces, (k, 3), N, are in contact frames. The torque, (m,), N m, presses
+        on the object.
         """
         if self._last is None or unfelt.all():
             return None
