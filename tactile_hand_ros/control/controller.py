@@ -586,15 +586,9 @@ class Controller:
     ) -> Command:
         """Return the answer to a tick with a missing input: hold posture and grasp force.
 
-        If a guard holds the joints, stiffer and without delay, the answer must not be sent.
-
-        Args:
-            theta: Joint angles, shape (m,), rad.
-            rates: Joint rates, shape (m,), rad/s.
-            reason: Why the law cannot answer.
-            grasp_force: k_f, N; 0 if unknown. The held force rises with it and never falls.
-            applied: Torque of the joints since the last tick, shape (m,), N m; None if unknown.
-            stamp: The tick, ns, to estimate rates from angles; None to take them as measured.
+        If a guard holds the joints, stiffer and without delay, the answer must not be sent. The
+        held force rises with k_f, N, 0 if unknown, and never falls. With the tick `stamp`, ns, the
+        rates are estimated from the angles, otherwise taken as measured. See `step`.
         """
         if stamp is not None:
             rates = self._rates.step(stamp, theta, rates, self.config.hold.resolution)

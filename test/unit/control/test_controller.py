@@ -89,21 +89,19 @@ def test_of_several_targets_the_latest_due_one_counts(bench):
 
 def test_of_too_many_waiting_targets_the_earliest_are_dropped_and_counted(bench):
     bench.step()
+    targets = bench.controller.targets
     for tick in range(MAX_WAITING, 0, -1):
-        bench.controller.targets.command(
-            bench.target(1e-5 * tick, 0.0, 0.0), stamp=(tick + 2) * TICK
-        )
-    assert bench.controller.targets.dropped == 0
+        targets.command(bench.target(1e-5 * tick, 0.0, 0.0), stamp=(tick + 2) * TICK)
+    assert targets.dropped == 0
     for _ in range(2):
-        bench.controller.targets.command(bench.target(0.03, 0.0, 0.0), stamp=10**6 * TICK)
-    assert bench.controller.targets.dropped == 2
+        targets.command(bench.target(0.03, 0.0, 0.0), stamp=10**6 * TICK)
     bench.stamp = 4 * TICK
     bench.step()  # the first two are gone
-    np.testing.assert_array_equal(bench.controller.targets.target.position, bench.centroid)
+    np.testing.assert_array_equal(targets.target.position, bench.centroid)
     bench.step()
     np.testing.assert_allclose(bench.shift, [3e-5, 0.0, 0.0], atol=1e-12)
     bench.controller.reset()
-    assert bench.controller.targets.dropped == 2
+    assert targets.dropped == 2
 
 
 def test_targets_after_a_tick_can_be_forgotten(bench):
@@ -297,9 +295,14 @@ def test_midpoint_hold_extrapolates_by_half_a_tick():
         np.testing.assert_allclose(ahead, now + 0.5 * (now - before), atol=1e-12)
 
 
-def let_go_and_take_again(bench):
+def let_go(bench):
     bench.controller.release()
     bench.step(3)
+    assert bench.controller.is_open
+
+
+def let_go_and_take_again(bench):
+    let_go(bench)
     bench.controller.grasp()
 
 
@@ -395,12 +398,6 @@ def strained(interrupt=lambda bench: None):
     return bench
 
 
-def let_go(bench):
-    bench.controller.release()
-    bench.step(3)
-    assert bench.controller.is_open
-
-
 def upside_down(bench, *shift):
     """Return contacts elsewhere: a remembered side of the virtual frame would show."""
     return {"contacts": bench.elsewhere(*shift, turn=(3.0, 0.2, 0.1)), "forces": FORCES}
@@ -450,18 +447,13 @@ def test_closing_fingers_open_again_also_when_the_grasp_is_forgotten():
     assert bench.step(5).mode is Mode.OPEN and bench.controller.is_open
 
 
-def test_reset_forgets_a_hold_with_its_posture_and_grasp_force():
+def test_after_a_reset_no_hold_goes_on_and_time_may_restart():
+    """A future target waits for its tick, even if a later tick came before the reset."""
     bench = strained(miss)
     bench.controller.reset()
     there = bench.theta + np.linspace(-0.2, 0.3, 9)
     held = bench.controller.hold(there, REST, "silence", grasp_force=20.0)
     np.testing.assert_array_equal(held.torque, REST)
-
-
-def test_after_a_reset_time_may_restart():
-    """A future target waits for its tick, even if a later tick came before the reset."""
-    bench = strained()
-    bench.controller.reset()
     bench.stamp = 0
     bench.controller.targets.command(bench.target(0.02, 0.0, 0.0), stamp=4 * TICK)
     for expected in (0.0, 0.0, 0.0, 0.0, 0.02):
