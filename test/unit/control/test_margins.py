@@ -110,6 +110,7 @@ def test_of_four_fingers_three_are_watched_while_one_is_missing(tmp_path):
     points = hand.tip_positions(theta) + hand.radii[:, None] * frames[:, :, 1]
     whole, touching = Contacts(points, frames), np.arange(4) != 1
     parted, bent = whole.without(~touching), theta + 0.05 * np.sin(np.arange(hand.joints))
+    bent[3:7] += 0.3  # the joints of the missing finger
     watch, others = GraspMonitor(hand), GraspMonitor(hand.part(touching))
     watch.margins(theta, whole)
     others.margins(theta, parted.part(touching))
