@@ -39,13 +39,7 @@ class Answer(NamedTuple):
 
 @dataclass
 class Chain:
-    """From joints and touch to torques: regulator, optimizer and controller.
-
-    Attributes:
-        regulator: Computes k_f; this and the others may be nodes that wrap the blocks.
-        optimizer: Computes f*.
-        controller: Computes the torques.
-    """
+    """From joints and touch to torques; the blocks may be nodes that wrap them."""
 
     regulator: SlipRegulator
     optimizer: ForceOptimizer
@@ -77,11 +71,7 @@ class Chain:
 
 @dataclass
 class SensingChain(Chain):
-    """From true contacts to torques: the simulated skin, followed by a `Chain`.
-
-    Attributes:
-        sensor: The skin.
-    """
+    """From true contacts to torques: the simulated skin, followed by a `Chain`."""
 
     sensor: TactileSensor
 
@@ -149,14 +139,10 @@ class ClosedLoop:
     def run(
         self, ticks: int | None = None, progress: Callable[[int], None] | None = None
     ) -> Record:
-        """Run to the end of the scenario, or for a number of ticks.
+        """Run to the end of the scenario, or for a number of ticks, and return the record.
 
-        Args:
-            ticks: Number of ticks, by default that of the scenario.
-            progress: Called with the number of finished ticks, a hundred times per run.
-
-        Returns:
-            The record. If the simulation diverges, it ends early, with the object dropped.
+        If the simulation diverges, it ends early, with the object dropped. `progress` is called
+        with the number of finished ticks, a hundred times per run.
         """
         ticks = self.scenario.ticks if ticks is None else ticks
         hand = self.plant.hand

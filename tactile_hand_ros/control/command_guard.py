@@ -100,14 +100,10 @@ class CommandGuard:
     """
 
     def __init__(self, config: GuardConfig, hand: Hand, tick: int, step: int = 0) -> None:
-        """Build the guard.
+        """Build the guard of a hand with the gravity that acts on it, for ticks in ns.
 
-        Args:
-            config: Limits of age, speed and change of torque, and the hold.
-            hand: Model of the hand, with the gravity that acts on it.
-            tick: Length of a tick, ns.
-            step: Time between two calls of `step`, ns; by default a tick. A faster drive holds
-                the joints stiffer.
+        `step` is the time between two calls of `step`, ns; by default a tick. A faster drive holds
+        the joints stiffer.
         """
         self._config, self._hand, self._tick, self._step = config, hand, tick, step or tick
         self._hold = GuardHold(config.hold, hand, 1e-9 * self._step)
@@ -145,14 +141,10 @@ class CommandGuard:
         command: TorqueCommand | None,
         refused: str = "",
     ) -> Array:
-        """Return the torque to apply from this tick on, shape (m,), N m.
+        """Return the torque to apply from the tick `stamp`, ns, on, shape (m,), N m.
 
-        Args:
-            stamp: The newest tick, ns.
-            theta: Joint angles at this tick, shape (m,), rad.
-            rates: Joint rates at this tick, shape (m,), rad/s.
-            command: The newest command; None before the first.
-            refused: Why commands are refused now, such as a second sender; empty if they are not.
+        Joint angles, rad, and rates, rad/s, are those of the tick. The command is the newest one,
+        None before the first. `refused` is why commands are refused now, such as a second sender.
         """
         is_blind = not (np.isfinite(theta).all() and np.isfinite(rates).all())
         if is_blind and not self._past:

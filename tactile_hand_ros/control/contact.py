@@ -94,11 +94,7 @@ def all_finite(forces: Array) -> bool:
 
 @compiled
 def centroid(points: Array) -> Array:
-    """Return the mean of points, shape (3,), m.
-
-    Args:
-        points: Shape (k, 3), m.
-    """
+    """Return the mean, shape (3,), m, of points, shape (k, 3), m."""
     out = np.zeros(3)
     for i in range(len(points)):
         out += points[i]
@@ -121,8 +117,8 @@ def _touching(positions: Array, rotations: Array) -> NDArray[np.bool_]:
 def tip_gaps(tips: Fingertips, contacts: Contacts, radii: Array) -> Array:
     """Return the contacts less the points p_f + r n of the fingertips, shape (k, 3), m.
 
-    A contact lies on its fingertip, so this is what joints and touch disagree about. The radii have
-    the shape (k,), m.
+    A contact lies on its fingertip, so this is what joints and touch disagree about. The radii, m,
+    have the shape (k,).
     """
     return contacts.positions - tips.positions - radii[:, None] * contacts.normals
 
@@ -140,10 +136,8 @@ def contact_frame(normal: Array) -> Array:
 def face_frame(normal: Array, along: Vector | Array, otherwise: Vector | Array) -> Array:
     """Return [t_x, n, t_z], shape (3, 3), with t_z along a direction projected on the face.
 
-    Args:
-        normal: Unit normal n of the face, shape (3,).
-        along: Unit vector, shape (3,).
-        otherwise: Used if that projection is shorter than 1e-3, of any length, shape (3,).
+    `otherwise` replaces the unit vector `along` if its projection is shorter than 1e-3. All have
+    the shape (3,).
     """
     nx, ny, nz = normal
     tx, ty, tz, length = 0.0, 0.0, 0.0, 0.0
@@ -162,16 +156,9 @@ def face_frame(normal: Array, along: Vector | Array, otherwise: Vector | Array) 
 def hand_jacobian(tips: Fingertips, points: Array, frames: Array) -> Array:
     """Return the hand Jacobian J_h,i = [I  -p_cf^] [J; J_Omega], turned into frames: R^T J_h,i.
 
-    The row along an axis t of a frame is t^T J + (p_cf x t)^T J_Omega.
-
-    Args:
-        tips: Fingertip centers and Jacobians.
-        points: Contact points p_c in the palm frame, shape (k, 3), m.
-        frames: Frames R of the velocities, shape (k, 3, 3): contact frames, or identities for the
-            paper's J_h in palm axes.
-
-    Returns:
-        Velocities of the contact points per joint rate, shape (k, 3, m).
+    It has the shape (k, 3, m): velocities of the contact points p_c, (k, 3), m, per joint rate. The
+    row along an axis t of a frame is t^T J + (p_cf x t)^T J_Omega. The frames, (k, 3, 3), are
+    contact frames, or identities for the paper's J_h in palm axes.
 
     Source: Shaw-Cortez et al., equation (2).
     """
@@ -203,24 +190,15 @@ def in_palm(rotations: Array, forces: Array, scale: float) -> Array:
 
 
 def known_part(forces: Array) -> Array:
-    """Return forces to draw: unknown tangential components, NaN, are left out.
-
-    Args:
-        forces: In contact frames, shape (..., 3), N.
-    """
+    """Return forces in contact frames, (..., 3), N, without unknown tangential parts, NaN."""
     return np.where(np.isnan(forces) & np.isfinite(forces[..., 1:2]), 0.0, forces)
 
 
 @compiled
 def joint_torques(tips: Fingertips, points: Array, forces: Array) -> Array:
-    """Return J_h^T f, the joint torques for forces at the contacts, shape (m,), N m.
+    """Return J_h^T f, (m,), N m, of forces f in palm axes, (k, 3), N, at contact points, (k, 3), m.
 
     A force f at the arm p_cf acts at the fingertip's center as f and p_cf x f.
-
-    Args:
-        tips: Fingertip centers and Jacobians.
-        points: Contact points p_c, palm frame, shape (k, 3), m.
-        forces: Forces f in palm axes, shape (k, 3), N.
 
     Source: Shaw-Cortez et al., equation (2), without forming J_h.
     """

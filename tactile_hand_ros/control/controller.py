@@ -25,6 +25,7 @@ from tactile_hand_ros.control.holds import (
 from tactile_hand_ros.control.laws import (
     AuxiliaryPose,
     LawConfig,
+    LawInput,
     LawTorque,
     ManipulationLaw,
     NormalForceControl,
@@ -139,24 +140,14 @@ class Mode(enum.Enum):
 
 
 class Held(NamedTuple):
-    """Torques of the last good tick, which a hold keeps.
+    """Torques of the last good tick, (m,), N m, which a hold keeps: internal force and load.
 
-    Attributes:
-        internal: Torque of the internal force, shape (m,), N m.
-        load: Torque that compensates the load, shape (m,), N m.
-        grasp_force: k_f of that internal force, N; 0 if unknown.
+    `grasp_force` is the k_f of that internal force, N; 0 if unknown.
     """
 
     internal: Array
     load: Array
     grasp_force: float = 0.0
-
-    def raised(self, grasp_force: float) -> Held:
-        """Return it with the internal force of a larger k_f, N, which never falls."""
-        if not (self.grasp_force > 0.0 and self.grasp_force < grasp_force < math.inf):
-            return self
-        factor = grasp_force / self.grasp_force
-        return Held(factor * self.internal, self.load, grasp_force)
 
 
 class Command(NamedTuple):
@@ -179,10 +170,7 @@ class Command(NamedTuple):
 
 
 class _Tick(NamedTuple):
-    """Joints and touch at a tick, of the fingers that hold; see `Controller.step`.
-
-    `elapsed` is the time to integrate since the last tick, s.
-    """
+    """Input of `Controller.step` from the fingers that hold, and the time to integrate, s."""
 
     stamp: int
     theta: Array
@@ -390,7 +378,7 @@ class Controller:
         self._unfelt = np.zeros(len(now.optimal_forces), dtype=bool)
         if is_blind:
             now = self._with_unfelt(now, ~now.contacts.touching) or now
-        problem = self._missing(contacts, now) or self._unmeasured(now.forces)
+        problem = self._missing(contacts, now)
         if problem:
             self._inputs.start_grasp()
             return self._holding(theta, rates, problem, grasp_force, applied)
@@ -478,9 +466,9 @@ class Controller:
             GraspError: If they are not finite.
         """
         pressed = self._pressed(now.optimal_forces, now.grasp_force, now.forces, now.elapsed)
-        touch = now.contacts, now.optimal_forces, pressed
+        seen = LawInput(tips, now.contacts, now.optimal_forces, pressed)
         pose = self._law.auxiliary_pose(tips, now.contacts)
-        parts = self._law.step(tips, now.rates, *touch, wanted, pose, now.elapsed, now.forces)
+        parts = self._law.step(seen, now.rates, wanted, pose, now.elapsed, now.forces)
         if self._keeps_posture:
             parts = self._keeping(parts, now.theta, now.rates, now.elapsed)
         total = parts.total
@@ -499,8 +487,7 @@ class Controller:
             return grasp_force
         age = c.touch_latency + (0.5 + self._delay.allowed) * self._period
         passed = 0.0 if self.joints_held or self._unfelt.any() else dt
-        shown = optimal_forces[:, 1], forces[:, 1]
-        limit = c.law.integral.force_limit
+        limit, shown = c.law.integral.force_limit, (optimal_forces[:, 1], forces[:, 1])
         crush = c.grasp_force_limit if c.grasp_force_limit > 0.0 else math.inf
         ends = -min(limit, grasp_force), min(limit, crush - grasp_force)
         return self._pressing.step(grasp_force, *shown, *ends, passed, age)
@@ -543,9 +530,8 @@ class Controller:
         compares = c.law.observer.time > 0.0 and c.force_tolerance > 0.0
         if compares and now.forces is not None and now.applied is not None:
             pressing = now.forces, now.applied
-        limits = Tolerances(
-            c.touch_tolerance, c.force_tolerance, c.touch_latency, self._rates.error
-        )
+        errors = c.touch_latency, self._rates.error
+        limits = Tolerances(c.touch_tolerance, c.force_tolerance, *errors)
         seen = now.contacts, limits, pressing, self._palm
         tips, doubt = self._inputs.step(now.stamp, now.theta, now.rates, *seen)
         if doubt is not None and self._unfelt.any():
@@ -600,15 +586,9 @@ class Controller:
     ) -> Command:
         """Return the answer to a tick with a missing input: hold posture and grasp force.
 
-        If a guard holds the joints, stiffer and without delay, the answer must not be sent.
-
-        Args:
-            theta: Joint angles, shape (m,), rad.
-            rates: Joint rates, shape (m,), rad/s.
-            reason: Why the law cannot answer.
-            grasp_force: k_f, N; 0 if unknown. The held force rises with it and never falls.
-            applied: Torque of the joints since the last tick, shape (m,), N m; None if unknown.
-            stamp: The tick, ns, to estimate rates from angles; None to take them as measured.
+        If a guard holds the joints, stiffer and without delay, the answer must not be sent. The
+        held force rises with k_f, N, 0 if unknown, and never falls. With the tick `stamp`, ns, the
+        rates are estimated from the angles, otherwise taken as measured. See `step`.
         """
         if stamp is not None:
             rates = self._rates.step(stamp, theta, rates, self.config.hold.resolution)
@@ -638,12 +618,14 @@ class Controller:
         return Command(fraction * held.internal + rest, Mode.HOLD, None, reason)
 
     def _kept(self, theta: Array, applied: Array | None, grasp_force: float) -> Held:
-        """Return the torques to keep, for a k_f in N and the torques since the last tick."""
+        """Return the torques to keep: those since the last tick, or raised for a larger k_f, N."""
         if self._held is None:
             if applied is None or not applied.any() or not all_finite(applied):
                 return Held(self._none, self._none)  # still unknown
             self._held = Held(applied - self._weight(theta), self._none)
-        self._held = self._held.raised(grasp_force)
+        internal, load, before = self._held
+        if 0.0 < before < grasp_force < math.inf:
+            self._held = Held(grasp_force / before * internal, load, grasp_force)
         return self._held
 
     def _spring(self, theta: Array, rates: Array) -> Array:
@@ -708,7 +690,7 @@ class Controller:
             return
         if self._required is None:
             forces = in_palm(now.contacts.rotations, now.optimal_forces, 1.0)
-            inertia = self.hand.dynamics(now.theta, np.zeros(self.hand.joints)).inertia
+            inertia = self.hand.dynamics(now.theta, self._none).inertia
             needed = required_bandwidth(self._fingers, now.theta, now.contacts, forces)
             self._required = needed, self._stiffest(inertia)
         required, has = math.sqrt(now.grasp_force) * self._required[0], self._required[1]
@@ -741,12 +723,8 @@ class Controller:
     def _disabled(self, theta: Array, rates: Array) -> Command:
         self._enter(Mode.DISABLED, theta)
         self._regrasp.follow(theta)
-        damping = self.config.law.damping
-        if damping > 0.0:
-            torque = -damping * rates
-        else:  # that of a hold
-            self._posture = theta
-            torque = self._spring(theta, rates)
+        self._posture, damping = theta, self.config.law.damping
+        torque = -damping * rates if damping > 0.0 else self._spring(theta, rates)
         torque = torque + self._weight(theta)
         return Command(torque, Mode.DISABLED, None, "disabled by the user")
 
@@ -755,8 +733,8 @@ class Controller:
 
         If enough fingers touch, the others first close as far as they may.
         """
-        closing = self._regrasp.closing
-        if not closing or not self._enough(contacts) or self._regrasp.searches(contacts):
+        can_start = self._regrasp.closing and self._enough(contacts)
+        if not can_start or self._regrasp.searches(contacts):
             return False
         self._regrasp.finish()
         self._law.reset()
@@ -788,26 +766,22 @@ class Controller:
         return min(passed, _LONGEST_GAP) if continues else 0.0
 
     def _missing(self, contacts: Contacts, now: _Tick) -> str:
-        grasp_force = now.grasp_force
+        """Return which input of the law is missing; empty if none is."""
+        grasp_force, law = now.grasp_force, self.config.law
         if not (self._enough(contacts) or self._unfelt.any()):
             missing = ", ".join(self.hand.part(~contacts.touching).finger_names)
             return f"no contact at {missing}; holding until they touch again"
-        if self.config.law.uses_optimal_forces and not all_finite(now.optimal_forces):
+        if law.uses_optimal_forces and not all_finite(now.optimal_forces):
             return "no optimal force f*; holding until the optimizer has an answer"
         if not math.isfinite(grasp_force) or grasp_force < 0.0:
             return f"grasp force k_f = {grasp_force} N is unusable; holding the last grasp force"
+        forces = now.forces if law.observer.time > 0.0 else None
+        if forces is not None and np.isnan(forces[:, ::2]).any():
+            return (
+                "the skin does not measure tangential forces, which law.observer needs; use the "
+                "law grip with such a skin"
+            )
         return ""
-
-    def _unmeasured(self, forces: Array | None) -> str:
-        """Return why the skin, with forces of shape (k, 3), N, is not one for this law, or ""."""
-        if self.config.law.observer.time == 0.0 or forces is None:
-            return ""
-        if not np.isnan(forces[:, ::2]).any():
-            return ""
-        return (
-            "the skin does not measure tangential forces, which law.observer needs; use the law "
-            "grip with such a skin"
-        )
 
     def _ahead(self, torque: Array, dt: float) -> Array:
         """Extrapolate a torque, shape (m,), N m, by half a period; it is T/2 old on average.

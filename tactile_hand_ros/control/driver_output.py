@@ -45,12 +45,7 @@ class DriverOutput:
         self._selection, self._offsets = _selection(config, list(names), hand)
 
     def step(self, theta: Array, torque: Array) -> Array:
-        """Return the output, shape (n,), in the driver's units.
-
-        Args:
-            theta: Present joint angles, shape (m,), rad.
-            torque: Finite torques, shape (m,), N m.
-        """
+        """Return the output, (n,), in the driver's units, of angles and finite torques, (m,)."""
         limit, start = self._hand.effort_limits, np.zeros_like(theta)
         high = self._hand.velocity_limits if self._output == "velocity" else start + np.inf
         low = -high

@@ -28,17 +28,14 @@ _LOOSE = 1e-9  # of the scatter, so that the turn about a line of contacts is fi
 
 @compiled
 def grasp_map(arms: Array, frames: Array) -> Array:
-    """Return the grasp map G with G_i^T = [I  -d_i^], for forces along the axes of frames.
+    """Return the grasp map G, (6, 3k), with G_i^T = [I  -d_i^], for forces along axes of frames.
 
-    A unit force along an axis t at an arm d gives the wrench (t, d x t).
+    A unit force along an axis t at an arm d gives the wrench (t, d x t) on the object in palm axes.
 
     Args:
         arms: Contact points d from the reference point of torques, palm axes, shape (k, 3), m: from
             the object's origin, p_c,i - p_o, in (4), and from the contact centroid in (11).
         frames: Frames of the forces, shape (k, 3, 3): contact frames, or identities for palm axes.
-
-    Returns:
-        G, shape (6, 3k): forces to the wrench (force, torque) on the object, in palm axes.
 
     Source: Shaw-Cortez et al., equations (4) and (11).
     """
@@ -57,10 +54,7 @@ def grasp_map(arms: Array, frames: Array) -> Array:
 def net_wrench(points: Array, rotations: Array, forces: Array) -> Array:
     """Return G~ f, the wrench of contact forces about the contact centroid, shape (6,), N and N m.
 
-    Args:
-        points: Contact points in the palm frame, shape (k, 3), m.
-        rotations: Contact frames, shape (k, 3, 3).
-        forces: Forces on the object in contact frames, shape (k, 3), N.
+    The forces on the object are in contact frames, (k, 3), N, the points in the palm frame.
 
     Source: Shaw-Cortez et al., equation (11), without forming G~.
     """
@@ -86,13 +80,8 @@ def carried_along(
 
     The object moves with its contacts: by the twist v of G~^T v = J_h d(theta), in least squares.
     About the centroid it turns by S^-1 sum(d_i x dp_i), see `wrench_forces`. Its faces turn, and
-    the fingertips roll on them.
-
-    Args:
-        tips: Fingertip centers and Jacobians before the motion.
-        positions: Contact points before the motion, shape (k, 3), m.
-        frames: Contact frames before the motion, shape (k, 3, 3).
-        moved: Change of the joint angles, shape (m,), rad.
+    the fingertips roll on them. The arguments are fingertips, contact points, (k, 3), m, and frames
+    before the joint angles change by `moved`, (m,), rad.
 
     Source: Shaw-Cortez et al., equation (6).
     """
@@ -118,17 +107,10 @@ def carried_along(
 
 
 def wrench_forces(points: Array, wrench: Array) -> Array:
-    """Return the contact forces G~^+ wrench, the smallest ones with a wrench.
+    """Return the contact forces G~^+ wrench, the smallest with a wrench, palm axes, (k, 3), N.
 
     G~ is the grasp map (11). About the centroid its pseudoinverse is f_i = F / k + (S^-1 T) x d_i,
-    with d_i = p_c,i - centroid and S = sum(|d_i|^2 I - d_i d_i^T).
-
-    Args:
-        points: Contact points in the palm frame, shape (k, 3), m.
-        wrench: Force and torque about the contact centroid, shape (6,), N and N m.
-
-    Returns:
-        Forces in palm axes, shape (k, 3), N.
+    with d_i = p_c,i - centroid, S = sum(|d_i|^2 I - d_i d_i^T) and the wrench (F, T), N and N m.
 
     Raises:
         CollinearContactsError: If the contacts lie on a line (A7).
@@ -222,9 +204,7 @@ def joint_margin(hand_jacobian: Array) -> float:
 def check_joints(hand_jacobian: Array, minimum: float = 1e-3) -> None:
     """Check assumption A5: J_h has full row rank, as far as the number of joints allows.
 
-    Args:
-        hand_jacobian: J_h, shape (3k, m) or (k, 3, m).
-        minimum: Smallest accepted singular value, m/rad.
+    J_h has the shape (3k, m) or (k, 3, m), and `minimum` is in m/rad.
 
     Raises:
         GraspError: If the hand cannot move its contact points freely.
@@ -285,10 +265,7 @@ class VirtualFrame:
         self.__init__()  # type: ignore[misc]
 
     def orientation(self, points: Array) -> Array:
-        """Return R_pov = [r_x r_y r_z] in the palm frame, shape (3, 3).
-
-        Args:
-            points: Contact points in the palm frame, shape (k, 3), m.
+        """Return R_pov = [r_x r_y r_z], (3, 3), of contact points, (k, 3), m, in the palm frame.
 
         Raises:
             CollinearContactsError: If three contacts or more lie on a line.
@@ -301,7 +278,8 @@ class VirtualFrame:
         arms = centered(points)
         if self._start is None:
             self._start = arms, self._plane_frame(_leading(points))
-        return turned_frame(*self._start, arms)
+        before, frame = self._start
+        return best_rotation(before, arms) @ frame
 
     def _line_frame(self, points: Array) -> Array:
         along = points[0] - points[1]
@@ -331,13 +309,8 @@ def _leading(points: Array) -> Array:
 def pose_error(position: Array, actual: Array, wanted: Array, desired: Array) -> Array:
     """Return p_d - p, m, and r_d = sum over the axes of r x r_desired, shape (6,).
 
-    r_d is 2 sin(angle) times the axis of the rotation from actual to desired, in palm axes.
-
-    Args:
-        position: p, shape (3,), m.
-        actual: R_pov, shape (3, 3).
-        wanted: p_d, shape (3,), m.
-        desired: R_pod, shape (3, 3).
+    r_d is 2 sin(angle) times the axis of the rotation from R_pov to R_pod, in palm axes. The
+    arguments are p, R_pov, p_d and R_pod.
 
     Source: Shaw-Cortez et al., below equation (8).
     """
@@ -371,12 +344,6 @@ def _frame_of_plane(points: Array) -> tuple[Array, float]:
     z0, z1, z2 = u / length, v / length, w / length
     y0, y1, y2 = cross((z0, z1, z2), (x0, x1, x2))
     return np.array([[x0, y0, z0], [x1, y1, z1], [x2, y2, z2]]), margin
-
-
-@compiled
-def turned_frame(before: Array, frame: Array, after: Array) -> Array:
-    """Return a frame that has turned with centered points, (k, 3), m, since `before`."""
-    return best_rotation(before, after) @ frame
 
 
 @compiled

@@ -44,14 +44,10 @@ _INDEPENDENT = 1e-9  # of the largest singular value; smaller ones are rounding
 
 
 def stiffest(hand: Hand, inertia: Array, tick: float, late: float, error: float) -> float:
-    """Return the largest bandwidth w of a hold, rad/s.
+    """Return the largest bandwidth w of a hold with an inertia M_h, shape (m, m), rad/s.
 
-    Args:
-        hand: The hand.
-        inertia: M_h, shape (m, m).
-        tick: Time between two ticks, s. Rates estimated from angles are half of it late.
-        late: Largest delay of a torque, s.
-        error: Largest error of an angle, rad; 0 for exact angles and rates.
+    Rates estimated from angles are late by half a `tick`, torques by at most `late`, s. `error` is
+    the largest error of an angle, rad; 0 for exact angles and rates.
     """
     if error == 0.0:
         return _PHASE / late
@@ -82,15 +78,9 @@ def required_bandwidth(
 ) -> float:
     """Return the smallest w, rad/s, at which a grasp does not buckle, with a margin.
 
-    It grows with the square root of the forces.
-
-    Args:
-        hand: The hand.
-        theta: Joint angles, shape (m,), rad.
-        contacts: Contacts with the object; all fingers must touch.
-        forces: Internal forces on the object in palm axes, shape (k, 3), N.
-        motions: Motions in which it may buckle, joint rates above twists, shape (m + 6, n); by
-            default all motions that keep the contacts.
+    It grows with the square root of the internal forces, (k, 3), N, palm axes. All fingers touch.
+    `motions`, joint rates above twists, shape (m + 6, n), are those in which it may buckle; by
+    default all that keep the contacts.
     """
     m, tips = hand.joints, hand.fingertips(theta)
     motions = _motions(hand, tips, contacts) if motions is None else motions
@@ -202,13 +192,7 @@ def motions_of_object(hand: Hand, theta: Array, contacts: Contacts) -> int:
 
 
 def kept_contacts(hand: Hand, theta: Array, contacts: Contacts) -> Array:
-    """Return the projection of joint rates on those that can keep all contacts, shape (m, m).
-
-    Args:
-        hand: The hand.
-        theta: Joint angles, shape (m,), rad.
-        contacts: Contacts with the object; all fingers must touch.
-    """
+    """Return the projection, (m, m), of joint rates on those that keep contacts of all fingers."""
     rates = _motions(hand, hand.fingertips(theta), contacts)[: hand.joints]
     return np.asarray(rates @ np.linalg.pinv(rates, rcond=_INDEPENDENT))
 
@@ -282,13 +266,7 @@ class GuardHold:
         self._config, self._hand, self._tick = config, hand, tick
 
     def engage(self, theta: Array, rates: Array, pressed: Array) -> None:
-        """Start a hold.
-
-        Args:
-            theta: Joint angles, shape (m,), rad.
-            rates: Joint rates, shape (m,), rad/s.
-            pressed: Torque tau_c of the contacts, shape (m,), N m.
-        """
+        """Start a hold at angles, rad, and rates, rad/s, with tau_c, N m, all of shape (m,)."""
         self._pressed, self._deflected = pressed.copy(), np.zeros(len(pressed))
         tips, inertia, _ = self._hand.dynamics(theta, rates)
         # A torque that is held for a tick is half a tick late; the other half is for the drive.
@@ -308,31 +286,20 @@ class GuardHold:
         room = self._hand.effort_limits - np.abs(self._pressed)
         moved = np.abs(self._internal)
         joints = room[moved > 0.0] / moved[moved > 0.0]
-        factors = [
-            self._config.internal_force_limit / self._internal_force,
-            1.0 + float(np.min(joints, initial=np.inf)),
-        ]
-        return max(1.0, min(factors))
+        limit = self._config.internal_force_limit / self._internal_force
+        return max(1.0, min(limit, 1.0 + float(np.min(joints, initial=np.inf))))
 
     def brake(self, theta: Array, rates: Array) -> None:
-        """Come to rest from here; the internal force stays.
-
-        Args:
-            theta: Joint angles, shape (m,), rad.
-            rates: Joint rates, shape (m,), rad/s.
-        """
+        """Come to rest from angles, rad, and rates, rad/s; the internal force stays."""
         self._start, self._speed, self._ticks = theta.copy(), rates.copy(), 0
         self.reference = self._start, self._speed
 
     def step(self, joints: tuple[Array, Array] | None, terms: Dynamics, *, follows: bool) -> Array:
         """Return the holding torque, shape (m,), N m.
 
-        Args:
-            joints: Angles, rad, and rates, rad/s, each of shape (m,); None if unknown, as if they
-                followed the reference.
-            terms: The model at this posture.
-            follows: Whether the internal force follows the load. False while a command takes over,
-                since its drive is not a load.
+        `joints` are angles, rad, and rates, rad/s; None if unknown, as if they followed the
+        reference. `terms` is the model at this posture. The internal force follows the load, except
+        while a command takes over, whose drive is not a load.
         """
         acceleration = self._move_reference()
         posture, speed = self.reference
@@ -355,9 +322,8 @@ class GuardHold:
         fraction = -math.expm1(-self._tick / _LOAD_TIME)
         self._deflected = self._deflected + fraction * (away - self._deflected)
         c, stiffness = self._config, self.bandwidth**2 * terms.inertia
-        deflection = np.sign(self._deflected) * np.maximum(
-            np.abs(self._deflected) - c.resolution, 0.0
-        )
+        beyond = np.maximum(np.abs(self._deflected) - c.resolution, 0.0)
+        deflection = np.sign(self._deflected) * beyond
         load, _ = split_forces(tip_forces(terms.tips, stiffness @ deflection))
         factor = 1.0 + float(np.linalg.norm(load)) / (c.friction * self._internal_force)
         self._factor = min(max(self._factor, factor), self._largest)

@@ -98,12 +98,9 @@ class AuxiliaryPose(NamedTuple):
 
 
 class Target(NamedTuple):
-    """Desired pose of the grasp, p_d and R_pod in the palm frame; NaN keeps the present value.
+    """Desired pose of the grasp, p_d, m, and R_pod in the palm frame; NaN keeps the present value.
 
-    Attributes:
-        position: p_d, shape (3,), m.
-        orientation: R_pod, shape (3, 3).
-        sent: Quaternion of R_pod in the message (x, y, z, w), shape (4,); None without one.
+    `sent` is the quaternion of R_pod in the message (x, y, z, w), shape (4,); None without one.
     """
 
     position: Array
@@ -112,12 +109,7 @@ class Target(NamedTuple):
 
     @classmethod
     def of(cls, position: Array, quaternion: Array) -> Target:
-        """Return the target of a message.
-
-        Args:
-            position: p_d, shape (3,), m.
-            quaternion: R_pod (x, y, z, w), shape (4,).
-        """
+        """Return the target of a message: p_d, shape (3,), m, and R_pod (x, y, z, w)."""
         return cls(position, rotation_from_quaternion(quaternion), quaternion)
 
     @property
@@ -131,17 +123,13 @@ class Target(NamedTuple):
         return not (np.isnan(self.position).any() or np.isnan(self.orientation).any())
 
     def kept(self, pose: AuxiliaryPose) -> Target:
-        """Return it with the missing part taken from a pose.
-
-        Args:
-            pose: Pose of the grasp.
-        """
-        if self.is_whole:
-            return self
-        position = pose.position if np.isnan(self.position).any() else self.position
-        if not np.isnan(self.orientation).any():
-            return self._replace(position=position)
-        return Target.of(position, quaternion_from_rotation(pose.orientation))
+        """Return it with the missing part taken from a pose of the grasp."""
+        kept = self
+        if np.isnan(self.position).any():
+            kept = kept._replace(position=pose.position)
+        if np.isnan(self.orientation).any():
+            kept = Target.of(kept.position, quaternion_from_rotation(pose.orientation))
+        return kept
 
 
 class LawTorque(NamedTuple):
@@ -171,12 +159,8 @@ class LawTorque(NamedTuple):
         the rest, joint by joint. All have the shape (m,), N m.
         """
         carried = self.load_compensation + weight
-        fraction = bearable_fraction(self.internal, carried, limits)
-        internal = self.internal if fraction == 1.0 else fraction * self.internal
-        torque = internal + carried
-        fraction = bearable_fraction(self.drive, torque, limits)
-        drive = self.drive if fraction == 1.0 else fraction * self.drive
-        torque = torque + drive + self.damping
+        torque = bearable_fraction(self.internal, carried, limits) * self.internal + carried
+        torque = torque + bearable_fraction(self.drive, torque, limits) * self.drive + self.damping
         return np.asarray(np.minimum(np.maximum(torque, -limits), limits))
 
 
@@ -185,15 +169,8 @@ def bearable_fraction(part: Array, rest: Array, limits: Array) -> float:
     """Return the largest s for which |s part + rest| stays within the effort limits.
 
     If a single joint stayed at its limit, the internal force would no longer balance and would push
-    the object away. The same fraction in all joints keeps the balance.
-
-    Args:
-        part: Torque of the internal force, or of the drive, shape (m,), N m.
-        rest: All other torque, shape (m,), N m.
-        limits: Effort limits of the joints, shape (m,), N m.
-
-    Returns:
-        From 0 to 1; 1 if the limits allow the full torque.
+    the object away. The same fraction, 0 to 1, in all joints keeps the balance. The torque of a
+    part, such as the internal force, all other torque and the limits have the shape (m,), N m.
     """
     fraction = 1.0
     for i in range(len(limits)):
@@ -229,14 +206,7 @@ class FittedGains(NamedTuple):
 
 
 class LawInput(NamedTuple):
-    """Input of a law at one tick.
-
-    Attributes:
-        tips: Fingertip centers and Jacobians.
-        contacts: Contact points and frames.
-        optimal_forces: f* in contact frames, shape (k, 3).
-        grasp_force: k_f, N.
-    """
+    """Input of a law at one tick: f* is in contact frames, shape (k, 3), and k_f in N."""
 
     tips: Fingertips
     contacts: Contacts
@@ -266,11 +236,7 @@ class Law(Protocol):
         """Return the torques of the internal force, shape (m,), N m."""
 
     def drive(self, wrench: Array) -> Array:
-        """Return the torques that apply a wrench to the object, shape (m,), N m.
-
-        Args:
-            wrench: Force and torque about the contact centroid, shape (6,), N and N m.
-        """
+        """Return the torques, (m,), N m, that apply a wrench, (6,), about the contact centroid."""
 
 
 LawFactory = Callable[[LawConfig, Array], Law]
@@ -282,18 +248,14 @@ class ManipulationLaw:
 
     Attributes:
         acts: Whether its torques reach the joints; otherwise the integral waits.
+        integral: Wrench of the integral action, shape (6,), N and N m.
     """
 
     def __init__(self, config: LawConfig, radii: Array) -> None:
-        """Build the law.
-
-        Args:
-            config: Name and gains of the law.
-            radii: Radii of the fingertips, shape (k,), m.
-        """
+        """Build the law of a configuration for fingertips with radii of shape (k,), m."""
         self._radii = np.asarray(radii)
         self._frame = VirtualFrame()
-        self._integral = np.zeros(6)
+        self.integral = np.zeros(6)
         self._observer = LoadObserver()
         self._pose: AuxiliaryPose | None = None  # of the last tick
         self._centroid = np.zeros(3)
@@ -311,7 +273,7 @@ class ManipulationLaw:
         c = config.integral
         self._integrates = max(c.k_p, c.k_o, c.time) > 0.0
         if not self._integrates:
-            self._integral[:] = 0.0
+            self.integral[:] = 0.0
         if config.observer.time == 0.0:
             self._observer.reset()
 
@@ -327,7 +289,7 @@ class ManipulationLaw:
     def reset(self) -> None:
         """Forget the grasp and the integral."""
         self._frame.reset()
-        self._integral[:] = 0.0
+        self.integral[:] = 0.0
         self._observer.reset()
         self._pose, self._offset, self._changed = None, None, False
 
@@ -335,19 +297,10 @@ class ManipulationLaw:
         """Use other fingers from the next tick on; pose and load do not jump."""
         self._changed = True
 
-    @property
-    def integral_wrench(self) -> Array:
-        """Wrench of the integral action, shape (6,), N and N m."""
-        return self._integral.copy()
-
     def auxiliary_pose(self, tips: Fingertips, contacts: Contacts) -> AuxiliaryPose:
         """Return the estimated pose of the object, palm frame.
 
         Laws (10) and (14) follow the contact points, law (8) the fingertip centers.
-
-        Args:
-            tips: Fingertip centers and Jacobians.
-            contacts: Contact points and frames.
 
         Raises:
             GraspError: If the points do not define a frame (A7).
@@ -359,7 +312,8 @@ class ManipulationLaw:
         if self._changed and self._pose is not None:
             before = self._pose
             self._offset = frame.T @ (before.position - position), frame.T @ before.orientation
-            self._move_wrenches(self._centroid - position)
+            for wrench in (self.integral, self._observer.wrench):  # about the new centroid
+                wrench[3:] += np.cross(self._centroid - position, wrench[:3])
         self._changed = False
         pose = AuxiliaryPose(position, frame)
         if self._offset is not None:
@@ -367,18 +321,10 @@ class ManipulationLaw:
         self._pose, self._centroid = pose, position
         return pose
 
-    def _move_wrenches(self, arm: Array) -> None:
-        """Move the reference point of the wrenches by -arm, shape (3,), m."""
-        for wrench in (self._integral, self._observer.wrench):
-            wrench[3:] += np.cross(arm, wrench[:3])
-
     def step(
         self,
-        tips: Fingertips,
+        seen: LawInput,
         rates: Array,
-        contacts: Contacts,
-        optimal_forces: Array,
-        grasp_force: float,
         target: Target,
         auxiliary: AuxiliaryPose,
         dt: float,
@@ -387,11 +333,8 @@ class ManipulationLaw:
         """Return the joint torques of the law, without gravity compensation.
 
         Args:
-            tips: Fingertip centers and Jacobians.
+            seen: Input of the law; only (14) uses f*.
             rates: Joint rates, shape (m,), rad/s.
-            contacts: Contact points and frames.
-            optimal_forces: f* in contact frames, shape (k, 3); used by (14) only.
-            grasp_force: k_f, N.
             target: Desired pose.
             auxiliary: Pose from `auxiliary_pose` at this tick.
             dt: Time since the last step, s; drives integral action and observer.
@@ -404,14 +347,14 @@ class ManipulationLaw:
         error = pose_error(*auxiliary, target.position, target.orientation)
         wrench, damping, pull = self._gains * error, c.damping * rates, np.zeros(6)
         if self._fitted is not None and not self.fits:
-            fitted_damping, stiffness = self._fitted.at(grasp_force)
+            fitted_damping, stiffness = self._fitted.at(seen.grasp_force)
             pull = stiffness @ error
             wrench = np.where(self._gains > 0.0, wrench, pull)
             damping = damping if c.damping > 0.0 else fitted_damping @ rates
         self._integrate(error, pull, dt)
         law = self._law
-        law.seen = LawInput(tips, contacts, optimal_forces, grasp_force)
-        carried = self._carried(contacts, forces, dt)
+        law.seen = seen
+        carried = self._carried(seen.contacts, forces, dt)
         load = np.zeros(len(rates)) if carried is None else law.drive(carried)
         return LawTorque(law.internal_torque(), load, law.drive(wrench), -damping)
 
@@ -421,8 +364,8 @@ class ManipulationLaw:
         if c.observer.time > 0.0 and forces is not None:
             # What a guard carries is to be carried from the first tick that acts again.
             passed = dt if self.acts else np.inf
-            return self._integral + self._observer.step(c.observer, contacts, forces, passed)
-        return self._integral if self._integrates else None
+            return self.integral + self._observer.step(c.observer, contacts, forces, passed)
+        return self.integral if self._integrates else None
 
     def _integrate(self, error: Array, pull: Array, dt: float) -> None:
         """Integrate the error; force and torque are each held inside their limit (anti-windup).
@@ -434,8 +377,8 @@ class ManipulationLaw:
         c = self.config.integral
         gains, fitted = np.repeat([c.k_p, c.k_o], 3), 1.0 / c.time if c.time > 0.0 else 0.0
         added = gains * dt * error + fitted * dt * pull
-        self._integral = np.where(gains + fitted > 0.0, self._integral + added, 0.0)
-        limit_wrench(self._integral, c.force_limit, c.torque_limit)
+        self.integral = np.where(gains + fitted > 0.0, self.integral + added, 0.0)
+        limit_wrench(self.integral, c.force_limit, c.torque_limit)
 
 
 class KawamuraLaw:
@@ -444,12 +387,7 @@ class KawamuraLaw:
     seen: LawInput
 
     def __init__(self, config: LawConfig, radii: Array) -> None:
-        """Build the law.
-
-        Args:
-            config: Its gains.
-            radii: Radii of the fingertips, shape (k,), m.
-        """
+        """Build the law for fingertips with radii of shape (k,), m."""
         self._reach = radii.sum()
         self._attitude = config.k_st * np.array(config.r_ref)
 
@@ -540,16 +478,10 @@ class NormalForceControl:
         dt: float,
         age: float,
     ) -> float:
-        """Return k_f + c, N.
+        """Return k_f + c, N, for k_f, N, fractions f*_n, (k,), and measured normal forces, (k,), N.
 
-        Args:
-            grasp_force: k_f, N.
-            fractions: f*_n, shape (k,).
-            normal: Measured normal forces n, shape (k,), N.
-            minimum: Smallest c, N.
-            maximum: Largest c, N, since a dead skin never shows the wanted force.
-            dt: Time since the last step, s.
-            age: d, s.
+        c has a minimum and a maximum, N, since a dead skin never shows the wanted force. `dt` is
+        the time since the last step, s, and `age` is d, s.
         """
         pressing = fractions > 0.0
         missing = (grasp_force - normal[pressing] / fractions[pressing]).max(initial=-math.inf)
@@ -572,9 +504,6 @@ OWN_LAWS: dict[tuple[str, str], LawFactory] = {}
 
 def law_of(config: LawConfig) -> LawFactory:
     """Return the law that a configuration names.
-
-    Args:
-        config: Name and folder of the law.
 
     Raises:
         ConfigurationError: If it is a law of a user that was not imported.

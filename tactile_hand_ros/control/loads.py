@@ -40,12 +40,9 @@ class Split(NamedTuple):
 
 @compiled
 def split(points: Array, normals: Array, forces: Array) -> Split:
-    """Return forces as the sum of the law (14): f = k_f f* + G~^+ w.
+    """Return forces on the object, (k, 3), N, as the sum of the law (14): f = k_f f* + G~^+ w.
 
-    Args:
-        points: Contact points in the palm frame, shape (k, 3), m.
-        normals: Contact normals into the object, palm axes, shape (k, 3).
-        forces: Forces on the object, palm axes, shape (k, 3), N.
+    Contact points, (k, 3), m, normals into the object and forces are in palm axes.
     """
     arms, wrench = centered(points), np.zeros(6)
     for i in range(len(forces)):
@@ -78,17 +75,10 @@ def required_grasp_force(
 ) -> float:
     """Return the minimum k >= 0 for which load + k shape lies in a friction cone.
 
-    The boundary of the cone |F - n (n.F)| = mu n.F is quadratic in k.
-
-    Args:
-        load: Load of a contact, shape (3,), N.
-        shape: Force of the contact per unit internal force, shape (3,).
-        normal: n of the contact into the object, shape (3,), in the axes of the forces.
-        usable_friction: mu of the cone.
-        support: Normal force that the load may lose, N; see `shift`.
-
-    Returns:
-        k in N; infinite if no grasp force of this shape suffices.
+    The boundary of the cone |F - n (n.F)| = mu n.F is quadratic in k. The load, N, the force per
+    unit internal force and the normal n into the object have the shape (3,) and the same axes. The
+    load may lose `support` of its normal force, N; see `shift`. k, N, is infinite if no grasp force
+    of this shape suffices.
     """
     ln, sn = dot(load, normal), dot(shape, normal)
     lessened, square = ln - support, usable_friction * usable_friction
@@ -174,11 +164,7 @@ class LoadObserver:
     def step(self, config: ObserverConfig, contacts: Contacts, forces: Array, dt: float) -> Array:
         """Return the wrench to carry, about the contact centroid, shape (6,), N and N m.
 
-        Args:
-            config: Time constant above 0, and limits.
-            contacts: Contact points and frames.
-            forces: Measured forces in contact frames, shape (k, 3), N.
-            dt: Time since the last tick, s.
+        Measured forces are in contact frames, (k, 3), N; `dt` is the time since the last tick, s.
         """
         measured = net_wrench(contacts.positions, contacts.rotations, forces)
         if all_finite(measured):

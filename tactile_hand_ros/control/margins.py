@@ -78,35 +78,29 @@ class GraspMonitor:
     def __init__(self, hand: Hand) -> None:
         """Start without a grasp of a hand."""
         self._hand = hand
-        self._first: Array | None = None
+        self.reset()
 
     def reset(self) -> None:
         """Start with a new grasp."""
-        self._first = None
+        self._first = np.full((self._hand.fingers, 3), np.nan)
 
     def margins(self, theta: Array, contacts: Contacts) -> GraspMargins:
-        """Return the margins of a posture, of the fingers that touch.
-
-        Args:
-            theta: Joint angles, shape (m,), rad.
-            contacts: Contacts by touch.
-        """
+        """Return the margins of a posture, (m,), rad, of the fingers that touch."""
         if not contacts.enough_touching:
-            self._first = None
+            self.reset()
             return UNKNOWN_MARGINS
         touching = contacts.touching
         hand, contacts = self._hand.part(touching), contacts.part(touching)
-        tips = hand.fingertips(theta)
-        joint = joint_margin(hand_jacobian(tips, contacts.positions, contacts.rotations))
-        seen = local_normals(contacts.normals, hand.tip_rotations(theta))
-        first = np.full((len(touching), 3), np.nan) if self._first is None else self._first
-        self._first = np.where(touching[:, None], first, np.nan)
-        new = np.isnan(self._first[:, 0]) & touching
-        self._first[new] = seen[new[touching]]
+        seen = np.full_like(self._first, np.nan)
+        seen[touching] = local_normals(contacts.normals, hand.tip_rotations(theta))
+        # A finger that touches again starts from its new contact.
+        self._first = np.where(np.isnan(self._first) | ~touching[:, None], seen, self._first)
+        travel = hand.radii * angles_between(seen[touching], self._first[touching])
+        jacobian = hand_jacobian(hand.fingertips(theta), contacts.positions, contacts.rotations)
         return GraspMargins(
-            face_travel=float((hand.radii * angles_between(seen, self._first[touching])).max()),
-            hemisphere=float(0.5 * np.pi - angles_between(seen, TIP).max()),
-            joint=joint,
+            face_travel=float(travel.max()),
+            hemisphere=float(0.5 * np.pi - angles_between(seen[touching], TIP).max()),
+            joint=joint_margin(jacobian),
             collinearity=collinearity_margin(contacts.positions),
         )
 

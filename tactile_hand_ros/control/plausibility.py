@@ -30,12 +30,7 @@ Fingers = NDArray[np.bool_]
 
 
 class Doubt(NamedTuple):
-    """A disagreement between joints and touch.
-
-    Attributes:
-        reason: Why.
-        fingers: The fingers whose touch may be wrong, shape (k,).
-    """
+    """Why joints and touch disagree, and the fingers whose touch may be wrong, shape (k,)."""
 
     reason: str
     fingers: Fingers
@@ -96,13 +91,9 @@ class Tolerances(NamedTuple):
 
 
 class _Repeat(NamedTuple):
-    """The last change of a finger's force.
+    """The last change of a finger's force: its tick, ns, force, N, and the torques then, N m.
 
-    Attributes:
-        stamp: Its tick, ns.
-        force: The force, N.
-        pressed: Torques of all joints at that tick, shape (m,), N m.
-        finest: Smallest change of a component of its force so far, N; infinite before the first.
+    `finest` is the smallest change of a component of the force so far, N, infinite at first.
     """
 
     stamp: int
@@ -149,15 +140,16 @@ class ForceTorqueCheck:
         """Return where forces and torques disagree; None if they do not.
 
         Both are averaged over `COMPARISON_TIME`, within which an impact passes through the fingers.
+        No forces are compared for their latency after a reset. All fingers must touch.
 
         Args:
             stamp: The tick, ns.
             rates: Joint rates, shape (m,), rad/s.
             terms: Fingertips, M_h and C_h theta' + N_h at the tick.
-            contacts: Contact points and frames; all must touch.
+            contacts: Contact points and frames.
             forces: Measured forces in contact frames, shape (k, 3), N.
             applied: Torque since the last tick, shape (m,), N m.
-            limits: Largest differences. No forces are compared for their latency after a reset.
+            limits: Largest differences.
             palm: Rotation of the palm in the world, shape (3, 3); None if unknown.
         """
         before, self._last = self._last, (stamp, rates)

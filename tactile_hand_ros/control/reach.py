@@ -27,7 +27,6 @@ _ITERATIONS = 100
 _MAX_POSTURES = 32  # postures of a check, which runs inside a tick
 _ROUNDS, _ROUND_POSTURES = 6, 4  # of the rolling, and postures of each round
 _ROLLED = 0.02  # of the radius, accuracy of the rolling: a degree
-_PACE, _PATIENCE = 300, 3  # stop if this many steps would be needed, after this many slow ones
 _MIN_DAMPING = 1e-12  # far above rounding, so that a redundant finger's system can be solved
 
 
@@ -36,12 +35,7 @@ def check_reach(
 ) -> None:
     """Check that the fingertips reach the target and keep their contacts.
 
-    Args:
-        hand: The hand.
-        theta: Joint angles now, shape (m,), rad.
-        contacts: Contacts now; only fingers that touch count.
-        pose: Contact centroid and virtual frame now.
-        target: Desired pose.
+    Joint angles, (m,), rad, contacts and pose are those of now; only fingers that touch count.
 
     Raises:
         PoseError: If a fingertip would stay more than a sixth of its radius short of its contact,
@@ -129,19 +123,11 @@ def _rolled(
 
 
 def _search(hand: Hand, tips: Array, start: Array) -> tuple[Array, Array]:
-    """Return joint angles, shape (m,), rad, and distances of the tips from points, (k,), m.
-
-    The search stops when all are close enough, or when it is too slow.
-    """
-    theta, missing, length, slow = start, np.full(hand.fingers, np.inf), np.inf, 0
-    enough = OFF_TIP * hand.radii
+    """Return angles, (m,), rad, that bring tips close to points, and the distances, (k,), m."""
     for theta, error in islice(_approach(hand, tips, start), _MAX_POSTURES):
-        missing, before = np.linalg.norm(error, axis=1), length
-        length = float(np.linalg.norm(error))
-        if (missing <= enough).all() or slow >= _PATIENCE:
+        missing = np.linalg.norm(error, axis=1)
+        if (missing <= OFF_TIP * hand.radii).all():
             break
-        if length < before:
-            slow = slow + 1 if _PACE * (before - length) < length - enough.min() else 0
     return theta, missing
 
 

@@ -29,27 +29,17 @@ class Regrasp:
 
     Attributes:
         active: Whether the fingers are open, opening or closing.
+        closing: Whether they are on their way back to the object.
         missed: Why closing failed, after which the fingers open again; empty otherwise.
     """
 
     def __init__(self, config: RegraspConfig, hand: Hand) -> None:
         """Start with a hand that grasps."""
-        self._config, self._hand = config, hand
-        self.active = self._closing = False
-        self.missed = ""
-
-    @property
-    def closing(self) -> bool:
-        """Whether the fingers are on their way back to the object."""
-        return self.active and self._closing
+        self._config, self._hand, self.missed = config, hand, ""
+        self.finish()
 
     def leave(self, theta: Array, contacts: Contacts) -> None:
-        """Start to open, and stay open afterwards.
-
-        Args:
-            theta: Joint angles, shape (m,), rad.
-            contacts: Contacts of the grasp, palm frame.
-        """
+        """Start to open from the joint angles, (m,), rad, and contacts of a grasp; stay open."""
         self.active = True
         self._normals = np.where(contacts.touching[:, None], contacts.normals, 0.0)
         self._tips = self._hand.fingertips(theta).positions
@@ -59,15 +49,15 @@ class Regrasp:
 
     def open(self) -> None:
         """Start to open again, along the normals of the last grasp."""
-        self._closing, self.missed = False, ""
+        self.closing, self.missed = False, ""
 
     def close(self) -> None:
         """Start to close."""
-        self._closing, self.missed = True, ""
+        self.closing, self.missed = True, ""
 
     def finish(self) -> None:
         """Stop: the hand grasps again."""
-        self.active = False
+        self.active = self.closing = False
 
     def searches(self, contacts: Contacts) -> bool:
         """Return whether a finger without contact can close further; `contacts` are by touch."""
@@ -81,14 +71,12 @@ class Regrasp:
             self._posture = theta.copy()
 
     def posture(self, contacts: Contacts, dt: float) -> Array:
-        """Return the joint angles to hold now, shape (m,), rad; call `leave` first.
+        """Return the joint angles to hold now, shape (m,), rad, `dt` s after the last tick.
 
-        Args:
-            contacts: Contacts by touch.
-            dt: Time since the last tick, s.
+        The contacts are those by touch. Call `leave` first.
         """
         c = self._config
-        if self._closing:
+        if self.closing:
             self._give_up(contacts)
             moves = np.where(contacts.touching, 0.0, c.speed * dt)
             self._depth = np.minimum(self._depth + moves, c.overtravel)
@@ -103,7 +91,7 @@ class Regrasp:
         missing = np.flatnonzero(~contacts.touching)
         if len(missing) and not self.searches(contacts):
             names = [self._hand.finger_names[i] for i in missing]
-            self._closing = False
+            self.closing = False
             self.missed = (
                 f"{', '.join(names)} closed {1e3 * self._config.overtravel:.0f} mm beyond the last "
                 "contacts without touching; the hand is open again: place the object between the "

@@ -51,14 +51,10 @@ class JointRates:
         self._count, self.error = 0, np.zeros(self._angles.shape[1])
 
     def step(self, stamp: int, theta: Array, rates: Array, error: float) -> Array:
-        """Return the rates at a tick, shape (m,), rad/s.
+        """Return the joint rates at a tick, ns, with angles theta, rad, shape (m,), rad/s.
 
-        Args:
-            stamp: The tick, ns.
-            theta: Joint angles, shape (m,), rad.
-            rates: Measured joint rates, shape (m,), rad/s; returned if angles are exact, and at the
-                first tick.
-            error: Largest error of an angle, rad; 0 for exact angles.
+        They are the measured `rates` at the first tick, and if the largest `error` of an angle,
+        rad, is 0.
         """
         if error == 0.0:
             return rates
@@ -121,12 +117,8 @@ class TorqueDelay:
 def _best_delay(sent: Array, change: Array, differences: Array) -> int:
     """Update the mean squared differences, shape (n,); return the delay that fits best.
 
-    It is -1 unless it fits twice as well as any other.
-
-    Args:
-        sent: Sent torques, the newest first, shape (n + 1, m), N m.
-        change: Change of the reported torques, shape (m,), N m.
-        differences: Between that change and those of the sent ones, by delay, N^2 m^2.
+    It is -1 unless it fits twice as well as any other. The change of the reported torques, (m,), is
+    compared with changes of the sent ones, (n + 1, m), the newest first.
     """
     for n in range(len(differences)):
         total = 0.0
@@ -145,11 +137,8 @@ def _best_delay(sent: Array, change: Array, differences: Array) -> int:
 def _slopes(times: Array, angles: Array, count: int, error: float) -> tuple[Array, Array]:
     """Return slopes, rad/s, and durations, s, of the longest lines, each of shape (m,).
 
-    Args:
-        times: Ring of times, shape (n,), s.
-        angles: Ring of angles, shape (n, m), rad.
-        count: Number of samples ever written; the last is the newest.
-        error: Largest error of an angle, rad.
+    Times, (n,), s, and angles, (n, m), rad, are rings into which `count` samples were written. The
+    largest error of an angle is in rad.
     """
     n, newest = len(times), (count - 1) % len(times)
     slopes, lengths = np.zeros(angles.shape[1]), np.zeros(angles.shape[1])
@@ -199,16 +188,11 @@ class UnfeltTouch:
         unfelt: NDArray[np.bool_],
         torque: Array,
     ) -> tuple[Contacts, Array | None] | None:
-        """Return contacts and forces of all fingers; None if they are unknown.
+        """Return contacts and forces of all fingers, those of the `unfelt` ones, (k,), filled in.
 
-        That is so without a touch of all, if no finger is felt, or if one has moved off the object.
-
-        Args:
-            theta: Joint angles, shape (m,), rad.
-            contacts: Contacts by touch.
-            forces: Measured forces in contact frames, shape (k, 3), N.
-            unfelt: Fingers to fill in, shape (k,).
-            torque: Torque that presses on the object, shape (m,), N m.
+        None if they are unknown: without a touch of all, if no finger is felt, or if one has moved
+        off the object. The forces, (k, 3), N, are in contact frames. The torque, (m,), N m, presses
+        on the object.
         """
         if self._last is None or unfelt.all():
             return None
@@ -334,7 +318,7 @@ def _regress(
     largest: float,
     error: float,
 ) -> bool:
-    """Add a sample, and return whether its speeds may show an age.
+    """Add a sample, and return whether its speeds may show an age; see `LateTouch.step`.
 
     Args:
         linear: Jacobians J_f of the fingertips, shape (k, 3, m), m/rad.

@@ -46,19 +46,15 @@ class SmoothReference:
         return bool(way > _NEAR or turn > _TURNED)
 
     def step(self, target: Target, now: AuxiliaryPose, time: float, dt: float) -> Target:
-        """Return the pose to follow at this tick.
+        """Return the pose to follow at this tick, `dt` s after the last one.
 
-        Args:
-            target: Desired pose.
-            now: Pose of the grasp, where the first step starts.
-            time: T in s; 0 gives the desired pose itself.
-            dt: Time since the last tick, s.
+        The first step starts at the pose of the grasp. T = 0 s gives the desired pose itself.
         """
         if time <= 0.0:
             self.reset()
             return target
         if self._pose is None:
-            self._pose, self._rates = Target(now.position, now.orientation), np.zeros(6)
+            self._pose = Target(now.position, now.orientation)
         turn = vector_from_rotation(self._pose.orientation @ target.orientation.T)
         error = np.concatenate([self._pose.position - target.position, turn])
         fading, course = math.exp(-dt / time), self._rates + error / time
@@ -73,20 +69,9 @@ class SmoothReference:
 MAX_WAITING = 1000
 """Number of desired poses that may wait for their tick."""
 
-MAX_CHECKED = 1
-"""Number of desired poses per tick whose reach is checked on arrival; others are checked when due.
-
-An unreachable pose takes milliseconds, and many of them must not delay the controller."""
-
 
 class Grasp(NamedTuple):
-    """A grasp at one tick.
-
-    Attributes:
-        theta: Joint angles, shape (m,), rad.
-        contacts: Contacts by touch.
-        pose: Contact centroid and virtual frame.
-    """
+    """A grasp at one tick: joint angles, shape (m,), rad, contacts by touch, and their pose."""
 
     theta: Array
     contacts: Contacts
@@ -94,12 +79,9 @@ class Grasp(NamedTuple):
 
 
 class _QueuedPose(NamedTuple):
-    """A desired pose that waits for its tick.
+    """A desired pose that waits for its tick, ns, zero for the next.
 
-    Attributes:
-        stamp: First tick at which it is due, ns; zero for the next.
-        target: The pose.
-        judged: Whether it was found to be in reach of the present grasp.
+    It is judged if it was found to be in reach of the present grasp.
     """
 
     stamp: int
@@ -111,7 +93,7 @@ _due_at = operator.attrgetter("stamp")
 
 
 class TargetQueue:
-    """Keeps desired poses until they are due; the newest reachable one becomes the target.
+    """Keeps desired poses until they are due; the newest one becomes the target if it is in reach.
 
     Attributes:
         target: The desired pose in force; None before the first tick.
@@ -134,11 +116,11 @@ class TargetQueue:
         self._in_reach: Target | None = None
         self.grasp: Grasp | None = None
         self._now: int | None = None
-        self._checked = 0
+        self._may_check = True
 
     def start_tick(self, now: int | None) -> None:
-        """Start a tick, ns: `MAX_CHECKED` poses may be checked again."""
-        self._now, self._checked, self.accepted = now, 0, None
+        """Start a tick, ns: a pose may be checked again."""
+        self._now, self._may_check, self.accepted = now, True, None
 
     def start_grasp(self) -> None:
         """Drop the target of the last grasp; waiting poses are checked against the new one."""
@@ -146,23 +128,20 @@ class TargetQueue:
         self._queue = [queued._replace(judged=False) for queued in self._queue]
 
     def command(self, target: Target, stamp: int = 0) -> None:
-        """Queue a desired pose; if `MAX_WAITING` wait already, the earliest is dropped.
+        """Queue a desired pose from a tick in ns on; zero or a past one means now.
 
-        An unreachable pose is rejected here or, without a grasp or after `MAX_CHECKED` poses in one
-        tick, when it is due.
-
-        Args:
-            target: Desired pose of the contact centroid's virtual frame, palm frame.
-            stamp: First tick at which it is due, ns; zero or a past one means now.
+        If `MAX_WAITING` poses wait already, the earliest is dropped. An unreachable one is rejected
+        here or, without a grasp or after another one in this tick, when it is due: a check takes
+        milliseconds, and many must not delay the controller.
 
         Raises:
             PoseError: If the present grasp cannot be moved there.
         """
-        is_judged = self.grasp is not None and self._checked < MAX_CHECKED
-        if self.grasp is not None and is_judged:
-            self._checked += 1
+        is_judged = False
+        if self.grasp is not None and self._may_check:
+            self._may_check, is_judged = False, target.is_whole
             self._judge(target.kept(self.grasp.pose), self.grasp)
-        self.schedule(target, stamp, judged=is_judged and target.is_whole)
+        self.schedule(target, stamp, judged=is_judged)
 
     def schedule(self, target: Target, stamp: int, *, judged: bool) -> None:
         """Queue a desired pose as `command` does; `judged` is whether its reach was checked."""
@@ -183,8 +162,8 @@ class TargetQueue:
     def take_due(self, stamp: int, grasp: Grasp) -> str:
         """Make the newest due pose the target; return why it was rejected, empty if it was not.
 
-        Without a target the grasp stays where it was first seen. A tick has time to check one pose.
-        If it is rejected, older ones follow in the next tick.
+        It replaces the older ones that are due. Without a target the grasp stays where it was first
+        seen.
         """
         self.grasp = grasp
         if self.target is None:
@@ -192,18 +171,15 @@ class TargetQueue:
         count = bisect.bisect_right(self._queue, stamp, key=_due_at)
         if not count:
             return ""
-        *older, newest = self._queue[:count]
-        later = self._queue[count:]
+        newest = self._queue[count - 1]
+        del self._queue[:count]
         target = newest.target.kept(grasp.pose)
         try:
             if not newest.judged:
                 self._judge(target, grasp)
         except PoseError as error:
-            # Without stamps, so that a newer command comes after them.
-            self._queue = [queued._replace(stamp=0) for queued in older] + later
             return str(error)
         self.target = self.accepted = target
-        self._queue = later
         return ""
 
     def stay(self, pose: AuxiliaryPose) -> None:

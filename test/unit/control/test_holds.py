@@ -24,7 +24,7 @@ from tactile_hand_ros.control.holds import (
     tip_forces,
 )
 from tactile_hand_ros.control.optimizer.force_optimizer import ForceOptimizer, ForceOptimizerConfig
-from tactile_hand_ros.hand.hand import Dynamics, Hand
+from tactile_hand_ros.hand.hand import Hand
 from tactile_hand_ros.scenario.scenario import load_scenario
 from tactile_hand_ros.simulation.plant import Plant
 
@@ -44,8 +44,7 @@ def hold(tick=0.002, **changes) -> GuardHold:
     return GuardHold(GuardHoldConfig().changed(changes), HAND, tick)
 
 
-def terms(theta, rates) -> Dynamics:
-    return HAND.dynamics(theta, rates)
+terms = HAND.dynamics
 
 
 @pytest.mark.parametrize("tick", [0.0005, 0.002, 0.01])
@@ -115,9 +114,9 @@ def test_the_internal_force_grows_with_the_load_and_never_falls():
 
 
 def test_the_internal_force_ends_at_its_limit_and_at_the_joints():
-    limited = hold(internal_force_limit=1.5 * TOTAL)
-    assert factor_under(limited, -5.0) == pytest.approx(1.5, rel=1e-6)
-    assert factor_under(hold(internal_force_limit=0.5 * TOTAL), -5.0) == pytest.approx(1.0)
+    for limit, factor in ((1.5, 1.5), (0.5, 1.0)):
+        made = hold(internal_force_limit=limit * TOTAL)
+        assert factor_under(made, -5.0) == pytest.approx(factor, rel=1e-6)
     joints = factor_under(hold(internal_force_limit=1e4, friction=0.01), -5.0)
     assert joints * np.abs(PRESSED).max() == pytest.approx(HAND.effort_limits.max(), rel=1e-6)
 
@@ -135,24 +134,17 @@ def test_what_an_encoder_cannot_tell_is_no_load():
     assert_allclose(found, PRESSED, atol=1e-9)
 
 
-@pytest.mark.parametrize("fraction", [0.9, 1.1])
-def test_a_hundredth_of_a_fingers_weight_is_the_minimum_internal_force(fraction):
-    share = fraction * HAND.minimum_force / TOTAL
-    made = hold(reserve=0.5)
-    made.engage(THETA, STILL, share * PRESSED)
+@pytest.mark.parametrize(("fraction", "factor"), [(0.9, 1.0), (1.1, 1.5)])
+def test_a_hundredth_of_a_fingers_weight_is_the_minimum_internal_force(fraction, factor):
+    """Above it rises by its reserve, and stays so as the hand brakes at another posture."""
+    pressed, made = fraction * HAND.minimum_force / TOTAL * PRESSED, hold(reserve=0.5)
+    made.engage(THETA, STILL, pressed)
     found = made.step((THETA, STILL), terms(THETA, STILL), follows=True)
-    assert_allclose(found, (1.5 if fraction > 1.0 else 1.0) * share * PRESSED, atol=1e-12)
-
-
-def test_it_brakes_again_from_another_posture_with_the_internal_force_as_it_is():
-    made = hold(reserve=0.5)
-    made.engage(THETA, np.full(9, 0.1), PRESSED)
-    for _ in range(3):
-        made.step((THETA, STILL), terms(THETA, STILL), follows=False)
+    assert_allclose(found, factor * pressed, atol=1e-12)
     other = THETA + 0.02
     made.brake(other, STILL)
     found = made.step((other, STILL), terms(other, STILL), follows=False)
-    assert_allclose(found, 1.5 * PRESSED, atol=1e-9)
+    assert_allclose(found, factor * pressed, atol=1e-9)
 
 
 def test_a_finger_that_is_nearly_straight_is_not_asked_for_forces_that_no_joint_makes():
@@ -265,11 +257,8 @@ def test_gains_that_fit_a_hand_leave_each_motion_its_damping(tick, name):
 def test_the_law_allows_for_late_torques(rate, delay, allowed, is_kept):
     """The light fingers of the human hand under a sudden pull, which late torques would lose."""
     pull = {"kind": "ramp", "start": 0.1, "duration": 0.2, "force": [0.0, 0.0, -4.0]}
-    changes = {
-        "plant.rate": rate,
-        "plant.disturbances": [pull],
-        "manipulation_controller.hold.latency": allowed,
-    }
+    changes = {"plant.rate": rate, "plant.disturbances": [pull]}
+    changes["manipulation_controller.hold.latency"] = allowed
     watch = Watch(GuardedLoop(load_scenario("human_pull", changes)))
     watch.run(1.0, delay=delay)
     assert watch.is_lost is not is_kept
@@ -279,14 +268,9 @@ def test_the_law_allows_for_late_torques(rate, delay, allowed, is_kept):
 @pytest.mark.parametrize(("rate", "delay"), [(1000, 2), (500, 1)])
 def test_a_heavy_object_and_a_delay_of_two_milliseconds_need_no_more_force(rate, delay):
     """Noise of the skin does not make the fingers swing, which the regulator would answer."""
-    changes = {
-        "plant.rate": rate,
-        "tactile_sensor.rate": rate,
-        "tactile_sensor.bandwidth": 0.4 * rate,
-    }
-    loop = GuardedLoop(load_scenario("human_lift", changes))
-    watch = Watch(loop)
-    watch.run(3.5, delay=delay)
+    skin = {"tactile_sensor.rate": rate, "tactile_sensor.bandwidth": 0.4 * rate}
+    loop = GuardedLoop(load_scenario("human_lift", skin | {"plant.rate": rate}))
+    Watch(loop).run(3.5, delay=delay)
     assert loop.loop.regulator.grasp_force < 12.0
     assert loop.loop.state.slid.max() < 1e-4
 
