@@ -233,7 +233,7 @@ class SlipRegulator:
         # A sensor that is slower than the loop repeats its samples.
         fresh, self._last = (measured != self._last).any(axis=1), measured.copy()
         forces = in_palm(contacts.rotations, measured, 1.0)
-        forces[~touching | self._rejected] = np.nan
+        forces[~touching] = np.nan
         learns = not (self._rejected.all() or self._held)
         if learns and (not self._kept or stamp - self._kept[-1][0] >= _AGE):
             # To restore it when touch is rejected.

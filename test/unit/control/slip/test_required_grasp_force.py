@@ -137,9 +137,9 @@ def test_the_margin_of_load_is_the_larger_of_its_floor_and_a_fraction_of_the_rec
 CARRIED = WEIGHT + np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 0.0], [0.1, 0.0, 0.0]])
 
 
-def reserves(need, ticks, load=CARRIED, first=0):
+def reserves(need, ticks, first=0):
     """Return needed and available force at each tick, shape (ticks, 2)."""
-    now = parts(load, 6.0 * SHAPE)
+    now = parts(CARRIED, 6.0 * SHAPE)
     return np.array([step(need, now, dt=DT if first + i else 0.0) for i in range(ticks)])
 
 
