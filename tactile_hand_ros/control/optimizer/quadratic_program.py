@@ -244,7 +244,7 @@ def _activate(problem: Problem, held: Flags, entering: int, excess: float, y: Ar
         if leaving < 0:
             held[entering] = True
             return systems
-        held[leaving], y[leaving] = False, 0.0
+        held[leaving] = False
         excess -= step * gain
     return 0
 
