@@ -7,7 +7,6 @@ import functools
 import math
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from tactile_hand_ros.closed_loop.record import Record
 from tactile_hand_ros.compiled import Array
@@ -30,7 +29,7 @@ def initial_grasp(scenario: str, layout: str = "") -> tuple[Contacts, Array]:
     return plant.state.contacts, plant.state.position
 
 
-def minimum_grasp_force(contacts: Contacts, wrench: Array, friction: ArrayLike) -> float:
+def minimum_grasp_force(contacts: Contacts, wrench: Array, friction: float) -> float:
     """Return the minimum sum of normal forces that lets contacts carry a wrench, (12).
 
         min sum f_n   s.t.   sum_i R_i f_i = F,   sum_i (p_i - c) x R_i f_i = T,   |f_t| <= mu f_n
@@ -42,7 +41,7 @@ def minimum_grasp_force(contacts: Contacts, wrench: Array, friction: ArrayLike) 
         contacts: Contact points and frames; fingers without contact carry no force.
         wrench: Required force and torque on the object, about the centroid c of the touching
             contacts, shape (6,), N and N m.
-        friction: mu of all contacts or of each, shape (k,).
+        friction: mu of all contacts.
 
     Returns:
         The sum [N]; infinite if no forces inside the cones carry the wrench.
@@ -50,16 +49,15 @@ def minimum_grasp_force(contacts: Contacts, wrench: Array, friction: ArrayLike) 
     touching = contacts.touching
     if not touching.any():
         return 0.0 if not np.any(wrench) else math.inf
-    mu = np.broadcast_to(np.asarray(friction, dtype=float), touching.shape)[touching]
     points, frames = contacts.positions[touching], contacts.rotations[touching]
     angles = 2.0 * np.pi * np.arange(SIDES) / SIDES
     ring = np.stack([np.cos(angles), np.zeros(SIDES), np.sin(angles)], axis=1)
-    edges = mu[:, None, None] * ring + np.array([0.0, 1.0, 0.0])
+    edges = friction * ring + np.array([0.0, 1.0, 0.0])
     arms = centered(points)
     # Scale torques by the size of the grasp, so that all rows have the same scale.
     length = max(float(np.linalg.norm(arms, axis=1).max()), 1e-6)
     blocks = grasp_map(arms / length, frames).reshape(6, -1, 3)
-    rows = np.einsum("akj,ksj->aks", blocks, edges).reshape(6, -1)
+    rows = np.einsum("akj,sj->aks", blocks, edges).reshape(6, -1)
     goal = np.concatenate([wrench[:3], np.asarray(wrench[3:]) / length])
     scale = max(float(np.abs(goal).max()), 1e-9)
     linprog = optional("scipy.optimize", "The minimum grasp force").linprog

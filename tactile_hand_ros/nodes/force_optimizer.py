@@ -134,7 +134,6 @@ class ForceOptimizerNode(TactileNode[ForceOptimizerConfig]):
     def check_config(self, config: ForceOptimizerConfig) -> None:
         """Reject weights and a minimum fraction that do not fit the hand."""
         config.weight_vector(self._fingers)
-        config.check_minimum(self._fingers)
 
     def on_config(self, config: ForceOptimizerConfig) -> None:
         """Apply changed weights, minimum fraction or times."""

@@ -101,11 +101,8 @@ def contact_geometry(
 ) -> tuple[Array, Array, Array]:
     """Return the contact, or the closest point, of each fingertip.
 
-    Args:
-        world: Object and fingertips.
-        position: Center of mass of the object, palm frame, shape (3,), m.
-        rotation: Object frame in the palm frame, shape (3, 3).
-        tips: Fingertip centers, palm frame, shape (k, 3), m.
+    Position and rotation are those of the object and `tips` the fingertip centers, shape (k, 3), m,
+    all in the palm frame.
 
     Returns:
         Points on the fingertips p_c = p_f + r n, shape (k, 3), contact frames, shape (k, 3, 3), and
@@ -145,11 +142,8 @@ def velocity_map(
 ) -> Array:
     """Return A with w = A [theta'; v_o; w_o], object against tip in contact frames.
 
-    Its hand part is -R_C^T J_h and its object part R_C^T G^T with G of (4), equation (6). With a
-    torsion, m, a fourth row is that times the relative spin about the normal.
-
-    Returns:
-        Shape (k, 3, m + 6), with a torsion (k, 4, m + 6).
+    Its hand part is -R_C^T J_h and its object part R_C^T G^T with G of (4), equation (6), of shape
+    (k, 3, m + 6). With a torsion, m, a fourth row is that times the relative spin about the normal.
     """
     k, m = len(hand.centers), len(hand.bias)
     jacobians = tip_jacobians(hand.spatial, hand.support, hand.coupling, hand.centers)
@@ -175,7 +169,7 @@ def step(
     torque: Array,
     wrench: Array,
 ) -> Motion:
-    """Return hand (3) and object (5) a step later, under the contact laws.
+    """Return hand (3) and object (5) a step h, s, later, under the contact laws.
 
     Contacts that stick obey (6), the others Coulomb's law.
 
@@ -241,13 +235,21 @@ def _solved(
     start, closing = np.empty((c, d)), np.empty(c)
     for i in range(c):
         j = near[i]
-        closing[i] = _closing(gaps[i], h, world.compliance)
+        closing[i] = gaps[i] / h  # what may close in a step, or of a penetration must open
+        if gaps[i] < 0.0 and world.compliance == 0.0:
+            closing[i] = max(_RECOVERY * gaps[i] / h, -_FASTEST_RECOVERY)
         start[i] = carried(every[j, :, m:], now.rows[j, :, m:], now.impulses[j])
-    if world.compliance > 0.0:
-        _soften(delassus, before, start, world.compliance / h**2)
-    elif d == 4:
-        for i in range(c):
+        if world.compliance == 0.0 and d == 4:
             delassus[d * i + 3, d * i + 3] *= 1.0 + _CREEP
+    if world.compliance > 0.0:
+        # Implicit springs: the gap after the step is -compliance p_n / h. Those of tangential
+        # impulses start with the last step, so that the solution's velocities are slip alone.
+        softness = world.compliance / h**2
+        for i in range(c * d):
+            soft = softness if i % d == 1 else _SHEAR * softness
+            delassus[i, i] += soft
+            if i % d != 1:
+                before[i] -= soft * start[i // d, i % d]
     solved = solve_contacts(delassus, before + turn, closing, friction, start)
     struck = bool(((solved.impulses[:, 1] > 0.0) & ~now.settled[near]).any())
     if (struck or solved.outcome != EXACT) and turn.any():
@@ -257,28 +259,11 @@ def _solved(
 
 
 @compiled
-def _soften(delassus: Array, before: Array, start: Array, softness: float) -> None:
-    """Put implicit springs of a compliance / h^2, 1/kg, into W and the velocities, in place.
-
-    The gap after the step is -compliance p_n / h. Tangential impulses change by springs from those
-    of the last step, shape (c, d), so that the velocities of the solution are those of slip alone.
-    """
-    c, d = start.shape
-    for i in range(c):
-        for j in range(d):
-            at, soft = d * i + j, softness if j == 1 else _SHEAR * softness
-            delassus[at, at] += soft
-            if j != 1:
-                before[at] -= soft * start[i, j]
-
-
-@compiled
 def _since(h: float, now: Motion, rows: Array) -> tuple[Array, Array]:
     """Compare contacts with those of the last step, half a step earlier and later.
 
-    Returns:
-        The growth (A - A_before) v / 2 of A v, shape (k, 3 or 4), m/s, zero for contacts that have
-        just closed, and the distance slid, shape (k,), m.
+    Return the growth (A - A_before) v / 2 of A v, shape (k, 3 or 4), m/s, zero for contacts that
+    have just closed, and the distance slid, shape (k,), m.
     """
     v, m = now.velocities, len(now.theta)
     turning, slid = np.zeros(now.impulses.shape), now.slid.copy()
@@ -293,14 +278,10 @@ def _since(h: float, now: Motion, rows: Array) -> tuple[Array, Array]:
 
 @compiled
 def carried(now: Array, then: Array, vector: Array) -> Array:
-    """Return a vector in the axes that a contact has now, of the same shape.
+    """Return a vector in the axes that a contact has now, from those shortly before.
 
-    The tangents, which follow the palm's z axis, may have turned about the normal.
-
-    Args:
-        now: Axes of the contact frame as rows, palm axes, shape (3, 3 or more).
-        then: The same shortly before.
-        vector: In the axes of `then`, shape (3,), or (4,) with a moment about the normal.
+    The tangents, which follow the palm's z axis, may have turned about the normal. Axes are rows,
+    palm axes, shape (3, 3 or more); the vector has shape (3,), or (4,) with a moment.
     """
     c, s = 0.0, 0.0
     for a in range(3):
@@ -312,14 +293,6 @@ def carried(now: Array, then: Array, vector: Array) -> Array:
     c, s = c / length, s / length
     out[0], out[2] = c * vector[0] + s * vector[2], c * vector[2] - s * vector[0]
     return out
-
-
-@compiled
-def _closing(gap: float, h: float, compliance: float) -> float:
-    """Return the speed at which a gap may close, or a penetration must open, m/s."""
-    if gap > 0.0 or compliance > 0.0:
-        return gap / h
-    return max(_RECOVERY * gap / h, -_FASTEST_RECOVERY)
 
 
 @compiled

@@ -41,7 +41,7 @@ _ROUNDING = 1e-9  # of the impulse that stops a contact; smaller ones count as o
 _EXACT = 1e-14
 _MAX_STEPS = 40
 _MAX_HALVINGS = 8
-_SINGULAR = 1e-13  # of the largest pivot; smaller ones are rounding
+_SINGULAR = 1e-13  # of the largest singular value; smaller ones are rounding
 _IMMOVABLE = 1e-8  # of the largest diagonal of W, its lower bound
 # Retries of Newton's method: factor of r, and number of steps in which friction grows.
 _ATTEMPTS = ((1.0, 1), (0.1, 1), (10.0, 1), (1.0, 4), (1.0, 16), (1.0, 64))
@@ -236,7 +236,7 @@ def _newton(laws: _Laws, p: Array, stiffness: float) -> Array:
         # Convergence is quadratic, so continue until rounding stops it.
         if smallest < _EXACT or (smallest < _TOLERANCE and worst > 0.1 * before):
             break
-        step = _eliminate(_slope(laws, p, stiffness), -value)
+        step = np.linalg.lstsq(_slope(laws, p, stiffness), -value, _SINGULAR)[0]
         # Halve the step until the merit falls; take the full step when it never does.
         length, merit = 1.0, value @ value
         following = p + step
@@ -296,38 +296,4 @@ def _slope(laws: _Laws, p: Array, stiffness: float) -> Array:
                     turns[j] = spread * (turns[j] - u[j] * along) + mu[i] * u[j] * turns[1]
         for j in range(d):
             out[x + j] -= turns[j] / laws.size[x + j]
-    return out
-
-
-@compiled
-def _eliminate(matrix: Array, right: Array) -> Array:
-    """Return the solution of a system of n equations; both arguments are overwritten.
-
-    If the matrix is singular, unknowns that the equations do not determine are zero.
-    """
-    n = len(right)
-    order = np.arange(n)
-    rank, first = n, 0.0
-    for i in range(n):
-        row, column = divmod(np.argmax(np.abs(matrix[i:, i:])), n - i)
-        row, column = i + row, i + column
-        largest = abs(matrix[row, column])
-        first = max(first, largest)
-        if not largest > _SINGULAR * first:
-            rank = i
-            break
-        right[i], right[row] = right[row], right[i]
-        order[i], order[column] = order[column], order[i]
-        matrix[i], matrix[row] = matrix[row].copy(), matrix[i].copy()
-        matrix[:, i], matrix[:, column] = matrix[:, column].copy(), matrix[:, i].copy()
-        for a in range(i + 1, n):
-            factor = matrix[a, i] / matrix[i, i]
-            right[a] -= factor * right[i]
-            matrix[a, i + 1 :] -= factor * matrix[i, i + 1 :]
-    out = np.zeros(n)
-    for i in range(rank - 1, -1, -1):
-        total = right[i]
-        for b in range(i + 1, rank):
-            total -= matrix[i, b] * out[order[b]]
-        out[order[i]] = total / matrix[i, i]
     return out

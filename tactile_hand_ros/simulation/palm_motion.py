@@ -91,16 +91,12 @@ def turned_by(outer: Turning, inner: Turning) -> Turning:
 def apparent_wrench(turning: Turning, body: tuple[float, Array], motion: Sequence[Array]) -> Array:
     """Return the apparent force and torque on a body in a turning palm, shape (6,), N and N m.
 
-    In the axes of the palm, with its angular velocity W and acceleration A, and the velocity v and
-    angular velocity w of a body at r against the palm,
+    In the axes of the palm, with its angular velocity W and acceleration A, the mass, kg, and
+    inertia (3, 3), kg m^2, of a body at r, and its velocity v and angular velocity w against the
+    palm,
 
         f = -m (A x r + W x (W x r) + 2 W x v),
         t = -(W x I (W + w) + w x I W - I (w x W) + I A).
-
-    Args:
-        turning: Motion of the palm.
-        body: Mass, kg, and inertia about its center of mass in palm axes, shape (3, 3), kg m^2.
-        motion: r, v and w, each of shape (3,).
     """
     (_, spin, gain), (mass, inertia), (place, velocity, own) = turning, body, motion
     force = np.cross(gain, place) + np.cross(spin, np.cross(spin, place) + 2.0 * velocity)

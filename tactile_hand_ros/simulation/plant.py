@@ -111,9 +111,6 @@ class Plant:
     def __init__(self, config: PlantConfig) -> None:
         """Build hand and object in their initial state.
 
-        Args:
-            config: Its parameters.
-
         Raises:
             HandModelError: If the hand cannot be built.
             ObjectModelError: If the object has no volume or the fingers start inside it.
@@ -154,11 +151,9 @@ class Plant:
         self._weight = np.concatenate([c.mass * self.hand.gravity, np.zeros(3)])
 
     def push(self, wrench: Array, until: float) -> None:
-        """Push the object, in addition to the disturbances, until a time in s.
+        """Push the object, in addition to the disturbances, until a simulated time, s.
 
-        Args:
-            wrench: Force and torque about the center of mass, palm axes, shape (6,), N and N m.
-            until: Simulated time at which it ends, s.
+        The wrench acts at the center of mass, palm axes, shape (6,), N and N m.
         """
         self._push, self._push_end = wrench, until
 
@@ -221,21 +216,15 @@ class Plant:
         return now
 
     def advance(self, torque: Array) -> PlantState:
-        """Return the state one tick later, under a constant torque; see `drive`.
-
-        Args:
-            torque: Joint torques, shape (m,), N m.
-        """
+        """Return the state one tick later, under constant torques, (m,), N m; see `drive`."""
         return self.drive(lambda since, theta, rates: torque)
 
     def drive(self, torque_of: Callable[[int, Array, Array], Array]) -> PlantState:
         """Return the state one tick later, with a torque for each integration step.
 
-        The effort limits of the joints apply, and the joints report the mean torque.
-
-        Args:
-            torque_of: Returns the torque, shape (m,), N m, from the time since the tick, ns, and
-                the reported angles, rad, and rates, rad/s.
+        The effort limits of the joints apply, and the joints report the mean torque. `torque_of`
+        returns the torques, shape (m,), N m, from the time since the tick, ns, and the reported
+        angles, rad, and rates, rad/s.
 
         Raises:
             DivergedError: If a velocity is impossibly large; then call `reset`.
@@ -281,13 +270,10 @@ class Plant:
         self.time = self._steps * h
 
     def _moved(self, h: float, turns: Array | None, wrench: Array) -> Motion:
-        """Return hand and object a step later; the part that another engine replaces.
+        """Return hand and object a step h, s, later; the part that another engine replaces.
 
-        Args:
-            h: Length of the step, s.
-            turns: Joint torques that balance the turning of the palm, shape (m,), N m, if it turns.
-            wrench: External wrench and weight about the object's center of mass, shape (6,), N and
-                N m.
+        `turns` are the joint torques that balance a turning palm, shape (m,), N m; `wrench` is that
+        of loads and weight about the object's center of mass, shape (6,), N and N m.
         """
         theta, ahead = half_step(h, self._now)
         terms = self.hand.raw_dynamics(theta, ahead[: self.hand.joints])

@@ -25,14 +25,7 @@ FRICTION = (0.0, 0.1, 0.5, 1.0, 1.5, 2.0, 5.0, 20.0, 100.0)
 
 
 class Problem(NamedTuple):
-    """A contact problem w = W p + b with W = A M^-1 A^T and b = A v.
-
-    Attributes:
-        delassus: W, shape (3k, 3k), 1/kg.
-        free: b, shape (3k,), m/s.
-        closing: gap / h, shape (k,), m/s.
-        friction: mu, shape (k,).
-    """
+    """A contact problem w = W p + b with W = A M^-1 A^T and b = A v; see `solve_contacts`."""
 
     delassus: Array
     free: Array

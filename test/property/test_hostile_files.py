@@ -64,11 +64,6 @@ def mutated(draw: st.DrawFn, text: str) -> str:
     return " ".join(words)
 
 
-def yaml_like(text: str) -> st.SearchStrategy[str]:
-    """Return texts like a good one, and some unlike it."""
-    return mutated(text) | st.text(max_size=40)
-
-
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
     """Return a folder with a good hand."""
@@ -84,7 +79,7 @@ def write(path: Path, text: str) -> Path:
 
 
 @HOSTILE
-@given(text=yaml_like(FILES["scenario"].read_text()))
+@given(text=mutated(FILES["scenario"].read_text()) | st.text(max_size=40))
 @example(text="name: &a [ha, ha]\nplant: {object: {vertices: [" + "0.1, " * 9000 + "]}}")
 def test_scenario(folder, text):
     with refused_in_time():

@@ -1,21 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
 """The optimization (13) on random grasps against trying every case, and on thin plates."""
 
-from collections import Counter
-
 import numpy as np
+import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
-from scipy.optimize import linprog
 from support.exact import best_forces
-from support.grasps import balance_in_frames, contacts_at, grasps, moved, rotations, vectors
+from support.grasps import contacts_at, grasps
 
-from tactile_hand_ros.control.contact import Contacts
 from tactile_hand_ros.control.grasp import collinearity_margin
 from tactile_hand_ros.control.optimizer.force_optimizer import (
     ForceOptimizer,
     ForceOptimizerConfig,
-    Status,
 )
 
 weights = st.lists(st.floats(0.5, 20.0), min_size=15, max_size=15)  # of up to five contacts
@@ -39,19 +35,6 @@ def test_agrees_with_trying_every_set_of_active_bounds(contacts, values, minimum
     np.testing.assert_allclose(found.forces, expected, atol=1e-7 * np.abs(expected).max())
 
 
-@settings(max_examples=50)
-@given(grasps(maximum=4), weights, rotations, vectors, st.floats(0.2, 5.0))
-def test_does_not_depend_on_place_direction_or_size(contacts, values, rotation, shift, scale):
-    """One solver, warm-started from the first answer, must give the second grasp the same."""
-    solver = optimizer(contacts, values)
-    first = solver.solve(contacts)
-    assume(first.ok and np.abs(first.forces).max() < 100.0)
-    there = moved(Contacts(scale * contacts.positions, contacts.rotations), rotation, shift)
-    second = solver.solve(there)
-    assert second.ok, second.reason
-    np.testing.assert_allclose(second.forces, first.forces, atol=1e-7 * np.abs(first.forces).max())
-
-
 def random_plate(random):
     """Return a grasp of three to five fingers on the two sides of a plate, hardly tilted."""
     k = int(random.integers(3, 6))
@@ -64,33 +47,16 @@ def random_plate(random):
     return contacts_at(points, normals)
 
 
-def smallest_forces(contacts):
-    """Return the minimum of the largest |force| for a grasp force of 1, infinite for none."""
-    balance = balance_in_frames(contacts)
-    balance[3:] /= np.abs(contacts.positions - contacts.positions.mean(axis=0)).max()
-    k = len(contacts.positions)
-    bounds = [(-1.0, 1.0), (0.0, 1.0), (-1.0, 1.0)] * k
-    pushes = np.tile([0.0, 1.0, 0.0], k)
-    found = linprog(-pushes, A_eq=balance, b_eq=np.zeros(6), bounds=bounds)
-    assert found.status == 0
-    return 1.0 / -found.fun if found.fun < -1e-9 else np.inf
-
-
-def outcomes(number, solver="exact"):
-    """Count how (13) ends for plates whose minimum forces are 30 to 1,000 times the grasp force."""
-    random, counts, optimizers = np.random.default_rng(3), Counter(), {}
-    while sum(counts.values()) < number:
+@pytest.mark.parametrize("solver", ["exact", "osqp"])
+def test_what_balances_is_solved(solver):
+    """Also on plates whose forces are 30 to 1,000 times the grasp force."""
+    config, random, solved = ForceOptimizerConfig(solver=solver), np.random.default_rng(3), 0
+    optimizers = {k: ForceOptimizer(config, k) for k in (3, 4, 5)}
+    while solved < 40:
         grasp = random_plate(random)
-        if not 30.0 < smallest_forces(grasp) < 1e3:
-            continue
         k = len(grasp.positions)
-        chosen = optimizers.setdefault(k, ForceOptimizer(ForceOptimizerConfig(solver=solver), k))
-        found = chosen.solve(grasp)
-        counts[found.status] += 1
-        assert not found.ok or found.residual < 1e-8
-    return counts
-
-
-def test_what_balances_is_solved():
-    for solver in ("exact", "osqp"):
-        assert outcomes(40, solver) == {Status.SOLVED: 40}
+        expected = best_forces(grasp, np.tile([10.0, 1.0, 10.0], k))
+        if expected is not None and 30.0 < np.abs(expected).max() < 1e3:
+            found = optimizers[k].solve(grasp)
+            assert found.ok and found.residual < 1e-8
+            solved += 1

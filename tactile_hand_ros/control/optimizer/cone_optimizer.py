@@ -40,9 +40,11 @@ class ConeOptimizer:
         k = n // 3
         weights = np.append(weights, largest) * (_SCALE / largest)
         price = np.append(np.zeros(n), _PENALTY * _SCALE)
-        rows = _fixed_rows(k)
-        bounds = np.zeros(len(rows))
-        bounds[:k] = -minimum
+        # -f_n <= -minimum, -t <= 0, and the cones, still without friction.
+        rows, bounds = np.zeros((k + 1 + SIDES * k, n + 1)), np.zeros(k + 1 + SIDES * k)
+        rows[:k, 1:n:3], bounds[:k] = -np.eye(k), -minimum
+        rows[k + 1 :, :n] = np.kron(np.eye(k), np.insert(DIRECTIONS, 1, 0.0, axis=1))
+        rows[k:, n] = -1.0
         equal, right = np.zeros((7, n + 1)), np.zeros(7)
         equal[6, 1:n:3] = right[6] = 1.0
         self._fixed = Problem(weights, price, equal, right, rows, bounds)
@@ -56,28 +58,14 @@ class ConeOptimizer:
         return found.x[:-1].reshape(-1, 3).copy(), found.residual
 
 
-def _fixed_rows(k: int) -> Array:
-    """Return the rows of -f_n <= -minimum, -t <= 0 and the cones, without friction."""
-    n = 3 * k
-    rows = np.zeros((k + 1 + SIDES * k, n + 1))
-    rows[np.arange(k), 1 + 3 * np.arange(k)] = -1.0
-    rows[k, n] = -1.0
-    for i in range(k):
-        cone = slice(k + 1 + SIDES * i, k + 1 + SIDES * (i + 1))
-        rows[cone, 3 * i : 3 * i + 3 : 2] = DIRECTIONS
-        rows[cone, n] = -1.0
-    return rows
-
-
 @compiled
 def _with_numbers(fixed: Problem, balance: Array, friction: Array, beyond: Array) -> Problem:
     """Return the problem with G~^T, (3k, 6), usable mu, (k,), and `Cones.goal`, (k, SIDES)."""
     equal, rows, bounds = fixed.equal.copy(), fixed.rows.copy(), fixed.bounds.copy()
     n, k = balance.shape[0], len(friction)
     equal[:6, :n] = balance.T
+    bounds[k + 1 :] = -beyond.ravel()
     for i in range(k):
-        for j in range(SIDES):
-            row = k + 1 + SIDES * i + j
-            rows[row, 3 * i + 1] = -INSIDE * friction[i]
-            bounds[row] = -beyond[i, j]
+        first = k + 1 + SIDES * i
+        rows[first : first + SIDES, 3 * i + 1] = -INSIDE * friction[i]
     return Problem(fixed.weights, fixed.price, equal, fixed.right, rows, bounds)

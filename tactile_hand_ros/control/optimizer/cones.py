@@ -60,29 +60,16 @@ class Cones:
 
     def margin(self, forces: Array) -> float:
         """Return the minimum mu f_n - |f_t| of f*, shape (k, 3), under the load."""
-        return cone_margin(forces, self.load, self.usable_friction)
-
-
-@compiled
-def cone_margin(forces: Array, load: Array, usable_friction: Array) -> float:
-    """Return the minimum mu f_n - |f_t| of forces and load in contact frames, in their unit."""
-    minimum = np.inf
-    for i in range(len(forces)):
-        x, n, z = forces[i] + load[i]
-        minimum = min(minimum, usable_friction[i] * n - math.sqrt(x * x + z * z))
-    return minimum
+        x, n, z = (forces + self.load).T
+        return float((self.usable_friction * n - np.sqrt(x * x + z * z)).min())
 
 
 @compiled
 def reaches(forces: Array, usable_friction: Array) -> Array:
     """Return the distances of forces beyond the sides of the pyramids, shape (k, SIDES).
 
-    They are additive in the forces, and not positive inside. A ball of loads of radius d reaches
-    d sqrt(1 + mu^2) further than its center.
-
-    Args:
-        forces: In contact frames, shape (k, 3).
-        usable_friction: mu, shape (k,).
+    They are additive in the forces, in contact frames, shape (k, 3), and not positive inside. A
+    ball of loads of radius d reaches d sqrt(1 + mu^2) further than its center.
     """
     beyond = np.empty((len(forces), SIDES))
     for i in range(len(forces)):
@@ -101,9 +88,7 @@ def grasp_frames(points: Array, rotations: Array) -> Array:
     that pushes along that normal it is the direction from the centroid. Pyramids with an even
     number of sides do not depend on the sign of the normal.
 
-    Args:
-        points: Contact points in the palm frame, shape (k, 3), m.
-        rotations: Contact frames, whose normals are kept, shape (k, 3, 3).
+    Points are in the palm frame, shape (k, 3), m; the normals of the contact frames are kept.
     """
     arms = centered(points)
     _, axes = np.linalg.eigh(arms.T @ arms)
@@ -121,8 +106,8 @@ def grasp_frames(points: Array, rotations: Array) -> Array:
 @compiled
 def followed(
     before: Array, optimum: Array, balance: Array, load: Array, friction: Array, fraction: float
-) -> tuple[Array, bool]:
-    """Return f*, shape (k, 3), between the last one and an optimum, and whether it was found.
+) -> Array:
+    """Return f*, shape (k, 3), between the last one, balanced again, and an optimum.
 
     Args:
         before: f* of the last tick, shape (k, 3).
@@ -133,48 +118,36 @@ def followed(
         fraction: Minimum fraction of the way, 0 to 1.
     """
     start, found = balanced(before, balance)
+    if not found:
+        return optimum
     fraction = max(fraction, _way_into_cones(start, optimum, load, friction))
-    return start + fraction * (optimum - start), found
+    return start + fraction * (optimum - start)
 
 
 @compiled
 def balanced(forces: Array, balance: Array) -> tuple[Array, bool]:
     """Return the nearest forces with G~ f = 0 and sum f_n = 1, and whether they were found.
 
-    Args:
-        forces: In contact frames, shape (k, 3).
-        balance: G~^T, shape (3k, 6).
+    Forces are in contact frames, shape (k, 3); `balance` is G~^T, shape (3k, 6).
     """
-    n = forces.size
-    rows, excess = np.zeros((7, n)), np.zeros((7, 1))
-    rows[:6] = balance.T
-    excess[6, 0] = -1.0
-    flat = forces.copy().reshape(n)
-    for i in range(1, n, 3):
-        rows[6, i] = 1.0
-    for a in range(7):
-        for i in range(n):
-            excess[a, 0] += rows[a, i] * flat[i]
+    rows, flat = np.zeros((7, forces.size)), forces.copy().reshape(-1)
+    rows[:6], rows[6, 1::3] = balance.T, 1.0
+    excess = rows @ flat
+    excess[6] -= 1.0
     u, found = factorize(rows @ rows.T)
     if not found:
         return forces, False
-    substitute(u, excess)
-    for i in range(n):
-        for a in range(7):
-            flat[i] -= rows[a, i] * excess[a, 0]
-    return flat.reshape(forces.shape), True
+    substitute(u, excess.reshape(-1, 1))
+    return (flat - excess @ rows).reshape(forces.shape), True
 
 
 @compiled
 def _way_into_cones(start: Array, end: Array, load: Array, friction: Array) -> float:
     """Return the minimum fraction of the way at which the cones start, 1 if they do not."""
+    first, last = reaches(start + load, friction).ravel(), reaches(end + load, friction).ravel()
     fraction = 0.0
-    for i in range(len(start)):
-        slope = INSIDE * friction[i]
-        (x, n, z), (a, b, c) = start[i] + load[i], end[i] + load[i]
-        for j in range(SIDES):
-            p, q = DIRECTIONS[j, 0], DIRECTIONS[j, 1]
-            first, last = p * x + q * z - slope * n, p * a + q * c - slope * b
-            if first > 0.0:
-                fraction = max(fraction, first / (first - last) if last < 0.0 else 1.0)
+    for i in range(len(first)):
+        if first[i] > 0.0:
+            way = first[i] / (first[i] - last[i]) if last[i] < 0.0 else 1.0
+            fraction = max(fraction, way)
     return fraction

@@ -21,7 +21,7 @@ from tactile_hand_ros.control.grasp import (
 from tactile_hand_ros.control.loads import CarriedLoad
 from tactile_hand_ros.control.optimizer.cone_optimizer import ConeOptimizer
 from tactile_hand_ros.control.optimizer.cones import INSIDE, Cones, followed, grasp_frames, reaches
-from tactile_hand_ros.control.optimizer.quadratic_program import Problem, QuadraticProgram, Solution
+from tactile_hand_ros.control.optimizer.quadratic_program import Problem, QuadraticProgram
 from tactile_hand_ros.errors import ConfigurationError
 
 _RELAXED = 0.75  # fraction of the grasp force at which f* must hold, so that k_f can fall
@@ -63,7 +63,8 @@ class ForceOptimizerConfig(Config):
         """Return the diagonal of W of k contacts, shape (3 k,).
 
         Raises:
-            ConfigurationError: If the number of weights does not fit or one is not positive.
+            ConfigurationError: If the number of weights does not fit, one is not positive, or the
+                minimum normal forces add up to the grasp force or more.
         """
         given = np.array(self.weights, dtype=float)
         if len(given) not in (3, 3 * fingers) or (given <= 0.0).any():
@@ -71,19 +72,12 @@ class ForceOptimizerConfig(Config):
                 f"weights = {self.weights}: expected 3 or {3 * fingers} positive numbers, the "
                 f"diagonal of W for {fingers} contacts"
             )
-        return np.tile(given, fingers) if len(given) == 3 else given
-
-    def check_minimum(self, fingers: int) -> None:
-        """Check that the minimum normal forces of k contacts leave a force to distribute.
-
-        Raises:
-            ConfigurationError: If they add up to the grasp force or more.
-        """
         if self.minimum_normal * fingers >= 1.0:
             raise ConfigurationError(
                 f"minimum_normal = {self.minimum_normal}: {fingers} contacts bear fractions that "
                 f"add up to 1, so that it must be below {1.0 / fingers:.3g}"
             )
+        return np.tile(given, fingers) if len(given) == 3 else given
 
 
 class Status(enum.Enum):
@@ -153,9 +147,7 @@ class ForceOptimizer:
         Raises:
             ConfigurationError: If they do not fit; then the old ones stay.
         """
-        weights = config.weight_vector(self._k)
-        config.check_minimum(self._k)
-        self.config, self._weights = config, weights
+        self._weights, self.config = config.weight_vector(self._k), config
         self._parts.clear()
         self._set_up()
 
@@ -172,14 +164,10 @@ class ForceOptimizer:
         carried: CarriedLoad | None = None,
         grasp_force: float = np.nan,
     ) -> OptimalForces:
-        """Return f* of a tick, inside the friction cones if they are configured.
+        """Return f* of a tick, ns, inside the friction cones if they are configured.
 
-        Args:
-            stamp: The tick, ns.
-            contacts: Contact points and frames in the palm frame.
-            carried: Load, usable friction and reserve from the regulator; without a load the cones
-                do not apply.
-            grasp_force: k_f of the tick, N.
+        They do not apply without `carried`, the load, usable friction and reserve from the
+        regulator. The grasp force is k_f of the tick, N.
         """
         if contacts.enough_touching and not contacts.all_touching:
             return self._without_the_others(stamp, contacts, carried, grasp_force)
@@ -235,15 +223,7 @@ class ForceOptimizer:
         return optimal._replace(forces=whole)
 
     def solve(self, contacts: Contacts, cones: Cones | None = None) -> OptimalForces:
-        """Distribute a unit internal force over the contacts.
-
-        Args:
-            contacts: Contact points and frames in the palm frame.
-            cones: Usable friction and load of the contacts; by default (13) has no cones.
-
-        Returns:
-            f* in contact frames, or the status without a solution.
-        """
+        """Return the distribution of a unit internal force; by default (13) has no cones."""
         if not contacts.all_touching:
             missing = ", ".join(str(i + 1) for i in np.flatnonzero(~contacts.touching))
             needed = "all" if self._k <= MIN_CONTACTS else "at least three"
@@ -264,19 +244,19 @@ class ForceOptimizer:
         found = self._program.solve(self._fixed._replace(equal=equal))
         if not found.residual < _MAX_RESIDUAL:
             self._shape = None
-            return self._unsolved(found)
-        forces, residual = found.x.reshape(self._k, 3), found.residual
-        shaped, inside = False, np.nan
-        if cones is None:
-            self._shape = None
-        else:
-            forces, residual, shaped = self._inside(forces, residual, balance, cones)
-            forces = self._steadied(forces, balance, cones)
-            unbalanced = np.abs(forces.ravel() @ balance).max()
-            residual = max(residual, unbalanced, abs(forces[:, 1].sum() - 1.0))
-            inside = cones.margin(forces)
-        how = found.iterations, found.solve_time
-        return OptimalForces(Status.SOLVED, "", forces, residual, *how, inside, shaped)
+            if found.is_infeasible:
+                return self._without_answer(Status.UNBALANCED, _UNBALANCED)
+            return self._without_answer(
+                Status.FAILED,
+                f"OSQP ended with '{found.osqp_status}' after {found.iterations} iterations, and "
+                f"the best residual is {found.residual:.1e}; the last answer is not used",
+            )
+        how = found.residual, found.iterations, found.solve_time
+        optimal = OptimalForces(Status.SOLVED, "", found.x.reshape(self._k, 3), *how)
+        if cones is not None:
+            return self._inside(optimal, balance, cones)
+        self._shape = None
+        return optimal
 
     def _opposed(self, points: Array, rotations: Array) -> OptimalForces:
         """Return f* of two contacts, which can only press along the line between them."""
@@ -287,53 +267,38 @@ class ForceOptimizer:
             return self._without_answer(Status.UNBALANCED, _UNBALANCED)
         return OptimalForces(Status.SOLVED, "", forces / forces[:, 1].sum(), 0.0)
 
-    def _inside(
-        self, forces: Array, residual: float, balance: Array, cones: Cones
-    ) -> tuple[Array, float, bool]:
+    def _inside(self, paper: OptimalForces, balance: Array, cones: Cones) -> OptimalForces:
         """Return f* inside the cones; a solution of (13) that lies inside stays.
 
-        Returns:
-            The optimum, its residual, and whether the cones changed it.
+        It follows the optimum steadily, see `followed`; the first one applies immediately.
         """
-        if cones.holds(forces):
-            return forces, residual, False
-        shaped, missing = self._shaper.solve(balance, cones)
-        if not missing < _MAX_CONE_RESIDUAL:
-            return forces, residual, False
-        return shaped, missing, True
-
-    def _steadied(self, optimum: Array, balance: Array, cones: Cones) -> Array:
-        """Follow an optimum steadily, see `followed`; the first one applies immediately."""
-        before, time, forces = self._shape, self.config.shape_time, optimum
+        optimum, residual, shaped = paper.forces, paper.residual, False
+        if not cones.holds(optimum):
+            forces, missing = self._shaper.solve(balance, cones)
+            if missing < _MAX_CONE_RESIDUAL:
+                optimum, residual, shaped = forces, missing, True
+        forces, before, time = optimum, self._shape, self.config.shape_time
         if before is not None and time > 0.0 and cones.elapsed > 0.0:
             fraction = 1.0 - math.exp(-cones.elapsed / time)
             touch = cones.load, cones.usable_friction
-            steady, found = followed(before, optimum, balance, *touch, fraction)
-            forces = steady if found else optimum
+            forces = followed(before, optimum, balance, *touch, fraction)
         self._shape = forces
-        return forces
+        unbalanced = np.abs(forces.ravel() @ balance).max()
+        residual = max(residual, unbalanced, abs(forces[:, 1].sum() - 1.0))
+        margin = cones.margin(forces)
+        return paper._replace(forces=forces, residual=residual, cone_margin=margin, shaped=shaped)
 
     def _set_up(self) -> None:
         k, minimum = self._k, self.config.minimum_normal
         equal, right, rows = np.zeros((7, 3 * k)), np.zeros(7), np.zeros((k, 3 * k))
         equal[6, 1::3] = right[6] = 1.0
-        rows[np.arange(k), 1 + 3 * np.arange(k)] = -1.0
-        bounds = np.full(k, -minimum)
+        rows[:, 1::3], bounds = -np.eye(k), np.full(k, -minimum)
         self._fixed = Problem(self._weights, np.zeros(3 * k), equal, right, rows, bounds)
         example = self._fixed._replace(equal=np.vstack([np.ones((6, 3 * k)), equal[6:]]))
         is_exact = self.config.solver == "exact"
         self._program = QuadraticProgram(example, is_exact)
         self._shaper = ConeOptimizer(self._weights, minimum, is_exact)
         self._shape = None
-
-    def _unsolved(self, best: Solution) -> OptimalForces:
-        if best.is_infeasible:
-            return self._without_answer(Status.UNBALANCED, _UNBALANCED)
-        return self._without_answer(
-            Status.FAILED,
-            f"OSQP ended with '{best.osqp_status}' after {best.iterations} iterations, and the "
-            f"best residual is {best.residual:.1e}; the last answer is not used",
-        )
 
     def _without_answer(self, status: Status, reason: str) -> OptimalForces:
         return OptimalForces(status, reason, np.full((self._k, 3), np.nan))

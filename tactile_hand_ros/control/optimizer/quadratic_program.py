@@ -99,11 +99,9 @@ class QuadraticProgram:
 
         OSQP may find the optimum although it reports its limit of iterations, or infeasibility for
         a large x.
-
-        Args:
-            problem: The problem, of the shape of the example.
         """
-        exact = Solution(*_solved(problem, self._held))
+        x, multipliers, systems = solve_problem(problem, self._held)
+        exact = Solution(x, residual(problem, x, multipliers) if systems else np.inf, systems)
         if exact.residual < _GOOD_RESIDUAL and self._exact:
             return exact
         return self._by_osqp(problem, exact)
@@ -147,23 +145,12 @@ class QuadraticProgram:
 
 
 @compiled
-def _solved(problem: Problem, held: Flags) -> tuple[Array, float, int]:
-    """Return x of `solve_problem`, its residual (infinite without one) and number of systems."""
-    x, multipliers, systems = solve_problem(problem, held)
-    return x, residual(problem, x, multipliers) if systems else np.inf, systems
-
-
-@compiled
 def solve_problem(problem: Problem, held: Flags) -> tuple[Array, Array, int]:
-    """Return the optimum, of (13) for example, and the number of linear systems.
+    """Return the optimum, shape (n,), its multipliers, and the number of linear systems.
 
-    Args:
-        problem: The problem.
-        held: Active inequalities at the start, shape (m,); overwritten with those at the end.
-
-    Returns:
-        The unknowns, shape (n,), the multipliers of equations and inequalities, shape (e + m,), and
-        the number of systems, 0 without a solution.
+    `held` are the active inequalities at the start, shape (m,), overwritten with those at the end.
+    Multipliers are those of equations and inequalities, shape (e + m,). Without a solution the
+    number of systems is 0.
     """
     e, systems = len(problem.equal), 0
     x, multipliers = np.zeros(len(problem.price)), np.zeros(e + len(held))
@@ -197,46 +184,35 @@ def residual(problem: Problem, x: Array, multipliers: Array) -> float:
     """Return the largest violation of the optimality conditions; infinite if one is not finite.
 
     Constraints, slope of the Lagrangian per largest weight, and complementarity, each relative to
-    the largest unknown if that is above 1.
-
-    Args:
-        problem: The problem.
-        x: The unknowns, shape (n,).
-        multipliers: Of equations and inequalities, shape (e + m,).
+    the largest unknown if that is above 1. Multipliers are as in `solve_problem`.
     """
     if not (np.isfinite(x).all() and np.isfinite(multipliers).all()):
         return np.inf
-    e, worst = len(problem.equal), 0.0
-    pull = max(np.abs(multipliers).max(), problem.weights.max())
-    slopes = 2.0 * problem.weights * x + problem.price
-    for i in range(len(multipliers)):
-        row = problem.equal[i] if i < e else problem.rows[i - e]
-        push = multipliers[i] if i < e else max(multipliers[i], 0.0)
-        excess = -(problem.right[i] if i < e else problem.bounds[i - e])
-        for j in range(len(x)):
-            excess += row[j] * x[j]
-            slopes[j] += row[j] * push
-        worst = max(worst, abs(excess) if i < e else max(excess, abs(push * excess) / pull))
-    steepest: float = np.abs(slopes).max() / problem.weights.max()
-    relative: float = max(worst, steepest) / max(np.abs(x).max(), 1.0)
-    return relative
+    e = len(problem.equal)
+    y, push = multipliers[:e], np.maximum(multipliers[e:], 0.0)
+    slopes = 2.0 * problem.weights * x + problem.price + y @ problem.equal + push @ problem.rows
+    missing, excess = problem.equal @ x - problem.right, problem.rows @ x - problem.bounds
+    pull, largest = np.abs(multipliers).max(), problem.weights.max()
+    loose = np.abs(push * excess).max() / max(pull, largest)
+    worst = max(np.abs(missing).max(), excess.max(), loose, np.abs(slopes).max() / largest)
+    return float(worst / max(np.abs(x).max(), 1.0))
 
 
 @compiled
 def _optimum(problem: Problem, held: Flags, x: Array, multipliers: Array) -> bool:
     """Write the optimum under active inequalities; return whether it is determined."""
-    e, (rows, right) = len(problem.equal), _active(problem, held)
+    e, weights, (rows, right) = len(problem.equal), problem.weights, _active(problem, held)
     multipliers[:] = 0.0
-    factor, determined = factorize(schur_complement(rows, problem.weights))
+    factor, determined = factorize(rows / weights @ rows.T)
     if not determined:
         return False
     y = np.zeros(len(rows))
-    missing = _missing(problem, rows, right, y, x)
+    x[:] = -0.5 * problem.price / weights
     for _ in range(2):  # the second time removes the rounding errors of the first
-        missing *= -2.0
-        substitute(factor, missing.reshape(-1, 1))
-        y += missing
-        missing = _missing(problem, rows, right, y, x)
+        more = -2.0 * (right - rows @ x)
+        substitute(factor, more.reshape(-1, 1))
+        y += more
+        x[:] = -0.5 * (problem.price + y @ rows) / weights
     multipliers[:e] = y[:e]
     multipliers[e:][held] = y[e:]
     return True
@@ -245,13 +221,8 @@ def _optimum(problem: Problem, held: Flags, x: Array, multipliers: Array) -> boo
 @compiled
 def _active(problem: Problem, held: Flags) -> tuple[Array, Array]:
     """Return the active rows and their right sides."""
-    chosen = np.flatnonzero(held)
-    e, n = problem.equal.shape
-    rows, right = np.empty((e + len(chosen), n)), np.empty(e + len(chosen))
-    rows[:e], right[:e] = problem.equal, problem.right
-    for i in range(len(chosen)):
-        rows[e + i], right[e + i] = problem.rows[chosen[i]], problem.bounds[chosen[i]]
-    return rows, right
+    rows = np.concatenate((problem.equal, problem.rows[held]))
+    return rows, np.concatenate((problem.right, problem.bounds[held]))
 
 
 @compiled
@@ -273,7 +244,7 @@ def _activate(problem: Problem, held: Flags, entering: int, excess: float, y: Ar
         if leaving < 0:
             held[entering] = True
             return systems
-        held[leaving], y[leaving] = False, 0.0
+        held[leaving] = False
         excess -= step * gain
     return 0
 
@@ -282,65 +253,20 @@ def _activate(problem: Problem, held: Flags, entering: int, excess: float, y: Ar
 def _direction(problem: Problem, held: Flags, row: Array) -> tuple[Array, float]:
     """Return the change of the optimum per unit of the multiplier of another row.
 
-    Returns:
-        The fall of the multipliers of the active inequalities, shape (m,), and of the violation of
-        the row, 0 if the active rows determine x.
+    The fall of the multipliers of the active inequalities, shape (m,), and of the violation of the
+    row, 0 if the active rows determine x.
     """
-    rows, _ = _active(problem, held)
-    size, e, weights = len(rows), len(problem.equal), problem.weights
-    factor, determined = factorize(schur_complement(rows, weights))
-    fall = np.zeros(len(held))
+    fall, weights, (rows, _) = np.zeros(len(held)), problem.weights, _active(problem, held)
+    factor, determined = factorize(rows / weights @ rows.T)
     if not determined:
         return fall, 0.0
-    projected = np.zeros(size)
-    for i in range(size):
-        for j in range(len(row)):
-            projected[i] += rows[i, j] * row[j] / weights[j]
-    substitute(factor, projected.reshape(size, 1))
-    fall[held] = projected[e:]
-    gain, total = 0.0, 0.0
-    for j in range(len(row)):
-        left = row[j]
-        for i in range(size):
-            left -= rows[i, j] * projected[i]
-        gain += 0.5 * left * left / weights[j]
-        total += 0.5 * row[j] * row[j] / weights[j]
+    projected = rows @ (row / weights)
+    substitute(factor, projected.reshape(-1, 1))
+    fall[held] = projected[len(problem.equal) :]
+    left = row - projected @ rows
+    gain: float = 0.5 * (left * left / weights).sum()
+    total = 0.5 * (row * row / weights).sum()
     return fall, gain if gain > _DEPENDENT * total else 0.0
-
-
-@compiled
-def _missing(problem: Problem, rows: Array, right: Array, y: Array, x: Array) -> Array:
-    """Write the x of multipliers y of A x = b; return b - A x, shape (m,)."""
-    size, n = rows.shape
-    for j in range(n):
-        total = problem.price[j]
-        for i in range(size):
-            total += rows[i, j] * y[i]
-        x[j] = -0.5 * total / problem.weights[j]
-    missing = right.copy()
-    for i in range(size):
-        for j in range(n):
-            missing[i] -= rows[i, j] * x[j]
-    return missing
-
-
-@compiled
-def schur_complement(rows: Array, weights: Array) -> Array:
-    """Return the upper triangle of A W^-1 A^T, shape (m, m).
-
-    Args:
-        rows: A, shape (m, n).
-        weights: Diagonal of W, shape (n,).
-    """
-    size, n = rows.shape
-    out = np.zeros((size, size))
-    for i in range(size):
-        for j in range(i, size):
-            total = 0.0
-            for c in range(n):
-                total += rows[i, c] * rows[j, c] / weights[c]
-            out[i, j] = total
-    return out
 
 
 Flags = NDArray[np.bool_]

@@ -108,12 +108,7 @@ class SlipDetector:
     """
 
     def __init__(self, config: SlipDetectorConfig, contacts: int) -> None:
-        """Start without samples.
-
-        Args:
-            config: Its parameters.
-            contacts: Number of contacts k.
-        """
+        """Start without samples of k contacts."""
         self._memory: Rows = np.zeros(contacts, _MEMORY)
         self.configure(config)
         self.reset()
@@ -138,8 +133,7 @@ class SlipDetector:
     @property
     def likelihood(self) -> Array:
         """Evidence for slip against its threshold, 0 to 1, shape (k,)."""
-        fractions: Array = np.minimum(self._memory["evidence"] / self._memory["threshold"], 1.0)
-        return fractions
+        return np.asarray(np.minimum(self._memory["evidence"] / self._memory["threshold"], 1.0))
 
     @property
     def agrees(self) -> NDArray[np.bool_]:

@@ -108,11 +108,6 @@ class FrictionEstimator:
         """The friction mu of each contact, shape (k,)."""
         return np.asarray(np.clip(np.exp(self._memory["mean"]), _SMALLEST_MU, _LARGEST_MU))
 
-    @property
-    def deviation(self) -> Array:
-        """Standard deviation of ln mu of each contact, shape (k,)."""
-        return np.asarray(np.sqrt(self._memory["variance"]))
-
     def step(
         self,
         forces: Array,
@@ -129,8 +124,7 @@ class FrictionEstimator:
         whether it has evidence for slip, and whether the newest samples show slip; others do not
         measure friction. For the rest see `SlipDetector.step`.
         """
-        detected = state, suspected, agrees, fresh
-        _learn(self._memory, self._row, forces, normals, *detected, dt)
+        _learn(self._memory, self._row, forces, normals, state, suspected, agrees, fresh, dt)
 
 
 @compiled

@@ -39,19 +39,15 @@ class RequiredGraspForce:
     new contact it rises while f* adapts; the rest applies from the first sample.
 
     Attributes:
+        config: Its parameters, which may change at any time.
         reserve: Additional load in any direction for each contact, shape (k,), N.
     """
 
     def __init__(self, config: ReserveConfig, contacts: int, finger_weight: float) -> None:
         """Start without a grasp of k contacts; the weight of a finger is in N."""
+        self.config, self._weight = config, finger_weight
         self._memory: Rows = np.zeros(contacts, _MEMORY)
-        self._weight = finger_weight
-        self.configure(config)
         self.reset()
-
-    def configure(self, config: ReserveConfig) -> None:
-        """Change the reserve; load and shape stay."""
-        self._config = config
 
     def reset(self) -> None:
         """Forget everything."""
@@ -85,6 +81,9 @@ class RequiredGraspForce:
     ) -> tuple[float, float]:
         """Return the minimum k_f that keeps each contact inside its cone, without and with reserve.
 
+        The first is infinite if no grasp force of this shape holds. The second leaves out contacts
+        for which no grasp force of this shape gives the reserve.
+
         Args:
             parts: Measured forces as load and internal force.
             normals: Contact normals into the object, palm axes, shape (k, 3); NaN: not grasped.
@@ -93,10 +92,6 @@ class RequiredGraspForce:
                 load rarely coincide.
             dt: Time since the last tick, s.
             grasped: Whether the grasp is complete; otherwise only the load is updated.
-
-        Returns:
-            Both in N. The first is infinite if no grasp force of this shape holds. The second
-            leaves out contacts for which no grasp force of this shape gives the reserve.
         """
         memory, size = self._memory, np.sqrt((parts.load * parts.load).sum(axis=1))
         missed, misses = np.isnan(memory["load"][:, 0]), np.isnan(normals[:, 0])
@@ -112,7 +107,7 @@ class RequiredGraspForce:
         return _needed(memory, normals, friction, usable, radii, dt)
 
     def _reserve(self) -> Array:
-        c, largest = self._config, self._memory["largest"]
+        c, largest = self.config, self._memory["largest"]
         return np.maximum(c.floor * self._weight / len(largest), c.fraction * largest)
 
 

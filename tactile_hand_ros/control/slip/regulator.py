@@ -107,7 +107,7 @@ class SlipRegulator:
         self.config, self._response.config = config, config.reflex
         self._detector.configure(config.detector)
         self._estimator.configure(config.friction)
-        self._required.configure(config.reserve)
+        self._required.config = config.reserve
 
     def reset(self) -> None:
         """Go back to the configured grasp force and the prior friction."""
@@ -189,12 +189,10 @@ class SlipRegulator:
     def step(
         self, stamp: int, contacts: Contacts | None = None, forces: Array | None = None
     ) -> float:
-        """Return k_f at a tick, N; the same tick again has no effect.
+        """Return k_f at a tick, ns, in N; the same tick again has no effect.
 
-        Args:
-            stamp: The tick, ns.
-            contacts: Contacts by touch; without them the required grasp force is unknown.
-            forces: Measured forces in contact frames, shape (k, 3), N.
+        Without contacts by touch, and their measured forces in contact frames, shape (k, 3), N, the
+        required grasp force is unknown.
         """
         dt = 0.0 if self._last_stamp is None else max(0.0, 1e-9 * (stamp - self._last_stamp))
         if self._last_stamp == stamp:
@@ -235,7 +233,7 @@ class SlipRegulator:
         # A sensor that is slower than the loop repeats its samples.
         fresh, self._last = (measured != self._last).any(axis=1), measured.copy()
         forces = in_palm(contacts.rotations, measured, 1.0)
-        forces[~touching | self._rejected] = np.nan
+        forces[~touching] = np.nan
         learns = not (self._rejected.all() or self._held)
         if learns and (not self._kept or stamp - self._kept[-1][0] >= _AGE):
             # To restore it when touch is rejected.
@@ -245,16 +243,7 @@ class SlipRegulator:
         axes = parts.internal if parts is not None and grasped else normals
         seen = forces if learns else np.full_like(forces, np.nan)
         slips, slides = self._watch(seen, normals, axes, fresh, dt)
-        friction = self.learned_friction
-        usable = friction / (1.0 + self.config.reflex.margin)
-        self.needed = self.ready = math.nan
-        if parts is None:
-            self._required.lose()
-        else:
-            needs = self._required.step(parts, at, friction, usable, dt, grasped=grasped)
-            self.needed, self.ready = needs
-        load = np.einsum("kji,kj->ki", contacts.rotations, self._required.load)
-        self.carried = CarriedLoad(load, usable, self._required.reserve)
+        self._update_need(contacts, parts, at, dt, grasped)
         if self.config.mode == "user":
             return
         if parts is not None and not self._has_grasped:
@@ -279,17 +268,28 @@ class SlipRegulator:
         axes[:, 1] = 1.0
         forces[:, 1] = np.where(is_known, normal, np.nan)
         state = self._detector.step(forces, axes, np.zeros_like(axes), fresh, dt, freedoms=1)
-        self.needed = self.ready = math.nan
-        self._required.lose()
-        load = np.einsum("kji,kj->ki", contacts.rotations, self._required.load)
-        usable = self.learned_friction / (1.0 + c.reflex.margin)
-        self.carried = CarriedLoad(load, usable, self._required.reserve)
+        self._update_need(contacts, None, axes, dt)
         if c.mode == "user":
             return
         if (state == ContactState.SLIP).any():
             self._raised = min(c.reflex.first_rise * self.grasp_force, c.maximum)
         goal = max(self._raised, self._asked)
         self._response.step(goal, False, False, touching, c.maximum, dt)
+
+    def _update_need(
+        self, contacts: Contacts, parts: Split | None, at: Array, dt: float, grasped: bool = False
+    ) -> None:
+        """Update the required grasp force and the load, unknown without the parts of the forces."""
+        friction, required = self.learned_friction, self._required
+        usable = friction / (1.0 + self.config.reflex.margin)
+        if parts is None:
+            required.lose()
+            self.needed = self.ready = math.nan
+        else:
+            needs = required.step(parts, at, friction, usable, dt, grasped=grasped)
+            self.needed, self.ready = needs
+        load = np.einsum("kji,kj->ki", contacts.rotations, required.load)
+        self.carried = CarriedLoad(load, usable, required.reserve)
 
     def _is_grasped(self, contacts: Contacts) -> bool:
         """Return whether contacts balance by themselves; a rejected finger presses, too."""

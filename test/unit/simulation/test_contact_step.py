@@ -54,16 +54,13 @@ class Scene:
         self.now = step(H, self.now, self.world, *acting)
         return self.now
 
-    def turned(self, rotation):
-        self.now = self.now._replace(rotation=rotation)
-
 
 def test_a_matrix_that_has_drifted_comes_back_to_the_nearest_rotation():
     """Newton's iteration: an error E of R = Q (I + E) becomes -3/2 E^2 - 1/2 E^3, and Q stays."""
     scene = Scene(**FAR)
     nearest = rotation_from_vector([0.7, -0.4, 1.1])
     error = 1e-3 * np.array([[1.0, 0.5, -0.7], [0.5, -2.0, 0.3], [-0.7, 0.3, 1.5]])
-    scene.turned(nearest @ (np.eye(3) + error))
+    scene.now = scene.now._replace(rotation=nearest @ (np.eye(3) + error))
     expected = nearest @ (np.eye(3) - 1.5 * error @ error - 0.5 * error @ error @ error)
     np.testing.assert_allclose(scene.step().rotation, expected, atol=1e-14)
     scene.step()

@@ -56,13 +56,6 @@ def test_joints_that_follow_move_as_with_the_own_engine(tmp_path):
     np.testing.assert_allclose(other.theta, ours.theta, 2e-3, 2e-3)
 
 
-def test_the_initial_state_is_that_of_the_own_engine():
-    ours, other = (w.reset() for w in both(layout="pinch", **{"calibration.link_lengths": 1.05}))
-    for name in ("theta", "torque", "position", "rotation", "velocity", "forces", "slid", "gaps"):
-        np.testing.assert_array_equal(getattr(other, name), getattr(ours, name))
-    np.testing.assert_array_equal(other.contacts.positions, ours.contacts.positions)
-
-
 def test_forces_are_those_of_statics():
     """From the first step on; in sum they balance weight and pull."""
     pull = [Disturbance(kind="step", force=(0.5, 0.2, -1.0))]

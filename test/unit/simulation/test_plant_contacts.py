@@ -119,28 +119,6 @@ def test_a_load_beyond_the_cone_slides_at_the_limit():
     assert np.abs(last.rates).max() < 0.05 * abs(last.velocity[2])
 
 
-def test_a_finger_lifts_off_and_comes_back():
-    world = plant(object__mass=0.2, object__friction=1.0)
-    start = world.state
-    away = np.zeros((3, 3))
-    away[2] = -0.5 * start.contacts.normals[2]
-    hold = np.array([[-4.0, 0, 0], [4.0, 0, 0], [0.0, 0.0, 0.0]])
-    opening = torque_for(world, hold + away)
-    widest = 0.0
-    for _ in range(100):
-        state = world.advance(opening - 0.5 * (world.state.rates))
-        widest = max(widest, state.gaps[2])
-    assert widest > 1e-3
-    np.testing.assert_array_equal(state.contacts.touching, [True, True, False])
-    assert np.isnan(state.contacts.positions[2]).all() and not state.forces[2].any()
-    closing, deepest = torque_for(world, hold) - 2.0 * (opening - torque_for(world, hold)), 0.0
-    for _ in range(400):
-        state = world.advance(closing - 0.5 * world.state.rates)
-        deepest = min(deepest, state.gaps[2])
-    assert state.contacts.touching.all() and state.forces[2, 1] > 0.1
-    assert deepest > -2e-4 and abs(state.gaps[2]) < 1e-5
-
-
 @pytest.mark.parametrize("shape", ["box", "cylinder", "sphere"])
 def test_contacts_roll_equally_far_over_tip_and_object(shape):
     """(6): without slip the contact point travels the same arc over the sphere and the object."""
@@ -165,26 +143,6 @@ def test_contacts_roll_equally_far_over_tip_and_object(shape):
     # Their difference is `slid`, of second order in the step.
     np.testing.assert_allclose(arcs[0], arcs[1], rtol=1e-4)
     assert world.state.slid.max() < 2e-6
-
-
-def test_a_grasp_far_away_turned_with_the_hand_behaves_the_same():
-    """The object's own frame is arbitrary: its corners are turned back, its body forward."""
-    turn = np.array([0.0, 0.0, np.pi / 2.0])
-    corners = 0.1302 * np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
-    worlds = [
-        plant(object__mass=0.2, object__inertia=(0.001, 0.002, 0.003)),
-        plant(
-            object__mass=0.2,
-            object__inertia=(0.002, 0.001, 0.003),
-            object__rotation=tuple(turn),
-            object__vertices=[float(c) for c in corners.ravel()],
-        ),
-    ]
-    torque = torque_for(worlds[0], PUSHES)
-    for _ in range(100):
-        first, second = (world.advance(torque) for world in worlds)
-    np.testing.assert_allclose(second.position, first.position, atol=1e-10)
-    np.testing.assert_allclose(second.forces, first.forces, atol=1e-6)
 
 
 OPPOSED = {"object__size": (0.2604, 0.24, 0.2604), "object__mass": 0.2}  # fingers 1 and 2 touch

@@ -6,12 +6,11 @@ import pytest
 from support.exact import best_forces
 from support.grasps import HALF, contacts_at, moved, pinch, three_faces
 
-from tactile_hand_ros.control.optimizer.cones import Cones, reaches
+from tactile_hand_ros.control.optimizer.cones import Cones
 from tactile_hand_ros.control.optimizer.force_optimizer import (
     ForceOptimizer,
     ForceOptimizerConfig,
     Status,
-    scaled_balance,
 )
 from tactile_hand_ros.errors import ConfigurationError
 from tactile_hand_ros.rotations import rotation_from_vector
@@ -21,6 +20,7 @@ W = np.tile([10.0, 1.0, 10.0], 3)
 # t on each, f_n = ((1 - 2t)/2, (1 - 2t)/2, 2t), of cost (1 - 2t)^2/2 + 4t^2 + 20t^2, minimal
 # at t = 1/26. Finger 1 has +y as its x, finger 2 as its -x.
 THREE_FACES = np.array([[1 / 26, 6 / 13, 0.0], [-1 / 26, 6 / 13, 0.0], [0.0, 1 / 13, 0.0]])
+SLIPPERY = Cones(np.full(3, 0.05), np.zeros((3, 3)))
 
 
 def optimizer(fingers=3, **values):
@@ -103,9 +103,11 @@ def test_contacts_a_thousandth_as_thin_as_long_are_taken_for_a_line():
 
 
 def test_new_weights_take_effect_and_refused_ones_change_nothing():
-    solver = optimizer()
-    solver.solve(three_faces())
+    solver, cones = optimizer(), Cones(np.full(3, 0.2), np.zeros((3, 3)))
+    assert not solver.solve(three_faces(), cones).shaped
     solver.configure(ForceOptimizerConfig(weights=[1.0, 1.0, 1.0]))
+    found = solver.solve(three_faces(), cones)
+    assert found.shaped and found.forces[0, 0] > 0.18 * found.forces[0, 1]
     equal = solver.solve(three_faces()).forces
     assert equal[2, 1] == pytest.approx(0.25)
     for values in (
@@ -125,24 +127,6 @@ def test_minimum_normal_forces_that_add_up_to_more_than_one_are_rejected():
     for share in (0.25, 0.3):  # with a quarter each, nothing is left to share
         with pytest.raises(ConfigurationError, match=rf"= {share}: 4 contacts.*below 0.25"):
             optimizer(fingers=4, minimum_normal=share)
-
-
-def test_torques_are_taken_about_the_centroid_per_size_of_the_grasp():
-    grasp = moved(beside(), rotation_from_vector([0.3, -0.8, 0.5]), np.array([0.2, 0.1, -0.4]))
-    arms = grasp.positions - grasp.positions.mean(axis=0)
-    arms = arms / np.sqrt((arms**2).sum(axis=1).mean())
-    axes = np.swapaxes(grasp.rotations, 1, 2)
-    expected = np.concatenate([axes, np.cross(arms[:, None], axes)], axis=2).reshape(9, 6)
-    found = scaled_balance(grasp.positions, grasp.rotations)
-    np.testing.assert_allclose(found, expected, atol=1e-14)
-
-
-@pytest.mark.parametrize("solver", ["exact", "osqp"])
-def test_osqp_shapes_f_only_where_it_is_asked_for(solver):
-    made, cones = optimizer(solver=solver), Cones(np.full(3, 0.05), np.zeros((3, 3)))
-    found = made.solve(three_faces(), cones)
-    assert found.shaped and found.cone_margin > -1e-6
-    assert (found.solve_time > 0.0) == (solver == "osqp")
 
 
 def limited(program, **values):
@@ -187,9 +171,6 @@ def test_where_nothing_meets_the_conditions_the_solver_has_failed_and_starts_aga
     np.testing.assert_allclose(made.solve(three_faces()).forces, THREE_FACES, atol=1e-10)
 
 
-SLIPPERY = Cones(np.full(3, 0.05), np.zeros((3, 3)))
-
-
 def test_where_the_cones_cannot_be_kept_exactly_enough_f_is_that_of_the_paper():
     made = optimizer(solver="osqp")
     assert made.solve(three_faces(), SLIPPERY).shaped
@@ -200,28 +181,3 @@ def test_where_the_cones_cannot_be_kept_exactly_enough_f_is_that_of_the_paper():
     assert found.ok and not found.shaped and cones is None
     np.testing.assert_allclose(found.forces, THREE_FACES, atol=1e-9)
     assert made.solve(three_faces(), SLIPPERY).shaped
-
-
-def test_other_weights_shape_f_otherwise_inside_the_cones_too():
-    points = HALF * np.array([[1.0, 0.1, 0], [0, 1.0, 0.2], [-1.0, 0, 0], [0.1, -1.0, 0]])
-    grasp = contacts_at(points, [[-1.0, 0.1, 0], [0.1, -1.0, 0], [1.0, 0, 0.1], [0, 1.0, 0]])
-    cones = Cones(np.full(4, 0.2), np.tile([0.05, 0.0, 0.03], (4, 1)))
-    other = ForceOptimizerConfig(
-        weights=[2.0, 1.0, 5.0, 8.0, 3.0, 1.0, 4.0, 0.5, 2.0, 9.0, 2.0, 9.0]
-    )
-    made, fresh = optimizer(4), ForceOptimizer(other, 4)
-    before = made.solve(grasp, cones)
-    made.configure(other)
-    found = made.solve(grasp, cones)
-    assert before.shaped and found.shaped
-    np.testing.assert_array_equal(found.forces, fresh.solve(grasp, cones).forces)
-    assert np.abs(found.forces - before.forces).max() > 1e-3
-
-
-def test_f_goes_at_once_into_its_cones_and_the_rest_of_the_way_has_its_time():
-    made = optimizer(shape_time=10.0)
-    start = made.solve(three_faces(), Cones(np.full(3, 0.2), np.zeros((3, 3)))).forces
-    usable = np.full(3, 0.08)
-    assert reaches(start, usable).max() > 1e-3
-    found = made.solve(three_faces(), Cones(usable, np.zeros((3, 3)), 1e-9)).forces
-    assert reaches(found, usable).max() == pytest.approx(0.0, abs=1e-9)

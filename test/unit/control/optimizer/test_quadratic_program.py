@@ -57,7 +57,6 @@ def test_what_is_optimal_proves_it(contacts, friction, seed, minimum):
 
 
 def test_a_load_that_changes_little_takes_one_system():
-    contacts, load = three_faces(), np.array([[0.1, 0.05, 0.2], [-0.1, 0.02, 0.1], [0.0, 0.1, 0.1]])
     problem = corner(np.vstack([-np.eye(3), [[1.0, -1.0, 0.0]]]), np.zeros(4), [-4.0, 0.0, 3.0])
     held = np.zeros(4, dtype=bool)
     assert solve_problem(problem, held)[2] > 1
@@ -65,12 +64,6 @@ def test_a_load_that_changes_little_takes_one_system():
     x, _, systems = solve_problem(problem, held)
     assert systems == 1
     np.testing.assert_allclose(x, [0.5, 0.5, 0.0], atol=1e-15)
-    optimizer = ConeOptimizer(np.tile(WEIGHTS, 3), 0.0)
-    balance = scaled_balance(contacts.positions, contacts.rotations)
-    first, _ = optimizer.solve(balance, Cones(np.full(3, 0.3), load))
-    optimizer.solve(balance, Cones(np.full(3, 0.2), 2.0 * load))
-    again, _ = optimizer.solve(balance, Cones(np.full(3, 0.3), load))
-    np.testing.assert_allclose(again, first, atol=1e-12)
 
 
 @pytest.mark.parametrize("start", range(2**4))
@@ -84,34 +77,10 @@ def test_every_start_ends_at_the_same_point(start):
     np.testing.assert_allclose(x, [0.0, 1.0, 0.0], atol=1e-15)
 
 
-def test_an_inequality_that_reaches_no_further_is_let_go():
-    """The first active one leaves no freedom for the second, and is inactive in the end."""
-    problem = corner([[-10.0, 0.0], [-2.0, 1.0]], [0.0, -3.0], [6.0, 0.0])
+def test_after_inequalities_that_contradict_each_other_the_next_start_is_empty():
     held = np.zeros(2, dtype=bool)
-    x, y, _ = solve_problem(problem, held)
-    assert held.tolist() == [False, True]
-    np.testing.assert_allclose(x, [4.0 / 3.0, -1.0 / 3.0], atol=1e-14)
-    assert residual(problem, x, y) < 1e-14
-
-
-def test_where_inequalities_contradict_each_other_there_is_no_answer():
-    held = np.zeros(2, dtype=bool)
-    problem = corner([[1.0, 0.0], [-1.0, 0.0]], [-1.0, -1.0], [0.0, 0.0])
-    assert solve_problem(problem, held)[2] == 0
+    assert solve_problem(corner([[1.0, 0.0], [-1.0, 0.0]], [-1.0, -1.0], [0, 0]), held)[2] == 0
     assert not held.any()
-
-
-def test_without_an_exact_answer_osqp_is_asked_and_the_next_problem_is_none_the_worse():
-    contacts, cones = three_faces(), Cones(np.full(3, 0.3), np.full((3, 3), 0.1))
-    balance = scaled_balance(contacts.positions, contacts.rotations)
-    optimizer = ConeOptimizer(np.tile(WEIGHTS, 3), 0.0)
-    expected, _ = optimizer.solve(balance, cones)
-    twice = balance.copy()
-    twice[:, 5] = twice[:, 4]  # the exact solution needs independent rows, OSQP does not
-    forces, missing = optimizer.solve(twice, cones)
-    assert missing < 1e-4
-    np.testing.assert_allclose(twice.T @ forces.ravel(), 0.0, atol=1e-4)
-    np.testing.assert_allclose(optimizer.solve(balance, cones)[0], expected, atol=1e-12)
 
 
 def uneven(seed, n=4, m=7):
@@ -141,11 +110,14 @@ TAKEN = {0: 5, 1: 7, 2: 7, 3: 5, 4: 3, 5: 5}
 
 
 @pytest.mark.parametrize("seed", TAKEN)
-def test_uneven_problems_have_the_optimum_of_all_sets_in_known_steps(seed):
+@pytest.mark.parametrize(("unit", "exactness"), [(1.0, 1e-11), (1e7, 1e-9)])
+def test_uneven_problems_have_the_optimum_of_all_sets_in_known_steps(seed, unit, exactness):
+    """In a small unit, active rows miss their bounds by rounding, which is a large number."""
     problem, expected, active = uneven(seed)
+    problem = problem._replace(rows=unit * problem.rows, bounds=unit * problem.bounds)
     held = np.zeros(7, dtype=bool)
     x, y, systems = solve_problem(problem, held)
-    np.testing.assert_allclose(x, expected, atol=1e-11)
+    np.testing.assert_allclose(x, expected, atol=exactness)
     np.testing.assert_array_equal(held, active)
     np.testing.assert_array_equal(y[1:] > 0.0, active)
     assert systems == TAKEN[seed]
@@ -154,7 +126,7 @@ def test_uneven_problems_have_the_optimum_of_all_sets_in_known_steps(seed):
         held = random.random(7) < 0.4
         x, _, systems = solve_problem(problem, held)
         assert systems
-        np.testing.assert_allclose(x, expected, atol=1e-11)
+        np.testing.assert_allclose(x, expected, atol=exactness)
         np.testing.assert_array_equal(held, active)
 
 
@@ -248,11 +220,6 @@ def test_the_problem_is_the_documented_one(size, violated, minimum):
         np.testing.assert_allclose(found, expected, atol=1e-5)
 
 
-def test_minimum_normal_forces_without_a_solution_give_none():
-    _, missing = shaped(three_faces(), Cones(np.full(3, 0.3), np.zeros((3, 3))), 0.4)
-    assert missing > 1e-3
-
-
 def test_an_exact_answer_that_has_lost_its_digits_is_not_taken():
     """Weights that differ by a factor of 1e9 leave residuals of some 1e-8."""
     balance = scaled_balance(three_faces().positions, three_faces().rotations)
@@ -262,15 +229,3 @@ def test_an_exact_answer_that_has_lost_its_digits_is_not_taken():
         optimizer = ConeOptimizer(weights, 0.0)
         optimizer.solve(balance, cones)
         assert (optimizer._program._osqp is not None) == is_asked
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_inequalities_may_be_written_in_any_unit(seed):
-    """Active rows miss their bounds by rounding, which is a large number in some units."""
-    problem, expected, active = uneven(seed)
-    held = np.zeros(7, dtype=bool)
-    large = problem._replace(rows=1e7 * problem.rows, bounds=1e7 * problem.bounds)
-    x, _, systems = solve_problem(large, held)
-    assert systems == TAKEN[seed]
-    np.testing.assert_allclose(x, expected, atol=1e-9)
-    np.testing.assert_array_equal(held, active)

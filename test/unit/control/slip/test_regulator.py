@@ -46,6 +46,8 @@ def test_rises_and_falls_at_its_rates_and_lands_exactly_on_the_goal():
     assert up[125] == pytest.approx(5.0 + 0.252 * 50.0, abs=1e-9)
     landing = 20.0 - up[300:400]
     np.testing.assert_allclose(landing[1:] / landing[:-1], 1.0 - 0.002 / 0.05, rtol=1e-3)
+    slip.request(15.0)
+    assert slip.step(10**12) == 15.0  # a long silence lands on the goal, not beyond
 
 
 @pytest.mark.parametrize("force", [0.4, 41.0, -1.0, float("nan"), float("inf")])
@@ -58,13 +60,6 @@ def test_what_is_outside_the_limits_is_refused_and_changes_nothing(force):
     for limit in (0.5, 40.0):
         slip.request(limit)
     assert grasp_forces(slip, 3000, start=11)[-1] == pytest.approx(40.0, abs=1e-6)
-
-
-def test_the_result_does_not_depend_on_ticks_that_were_missed():
-    slip = regulator(grasp_force=5.0)
-    slip.step(0)
-    slip.request(15.0)
-    assert slip.step(10**11) == 15.0  # a long silence lands on the goal, not beyond
 
 
 def test_a_clock_that_starts_again_makes_no_jump():
@@ -95,15 +90,11 @@ def test_a_new_limit_takes_hold_at_once_and_leaves_no_jump_for_when_it_is_lifted
     assert lifted[-1] == pytest.approx(asked)
 
 
-def test_the_limits_hold_for_what_the_object_needs_too():
-    contacts = three_faces()
+def test_the_minimum_holds_for_what_the_object_needs_too():
     light = np.array([[0.0, 0.5, 0.05], [0.0, 0.5, 0.05], [0.0, 0.1, 0.0]])
-    heavy = np.array([[0.0, 1.0, 4.0]] * 3)
     slip = regulator(mode="auto", minimum=2.0, maximum=8.0, grasp_force=8.0, reserve=NO_RESERVE)
-    found = np.array([slip.step(i * TICK, contacts, light) for i in range(2000)])
+    found = np.array([slip.step(i * TICK, three_faces(), light) for i in range(2000)])
     assert 0.0 < slip.needed < 1.5 and found.min() == found[-1] == 2.0
-    found = [slip.step((2000 + i) * TICK, contacts, heavy) for i in range(200)]
-    assert slip.needed > 8.0 and max(found) == found[-1] == 8.0
 
 
 FORCES = np.array([[0.4, 2.6, 1.8], [-0.3, 2.2, 0.9], [0.2, 1.1, 0.3]])
@@ -343,34 +334,11 @@ def test_a_tick_that_comes_twice_changes_nothing():
         np.testing.assert_array_equal(once.learned_friction, twice.learned_friction)
 
 
-@pytest.mark.parametrize("late", [1, 8])
-def test_a_rejected_touch_changes_neither_the_grasp_force_nor_what_was_learned(late):
-    """Afterwards the friction is as without the false forces, and k_f is no lower."""
-    config = {"mode": "auto", "maximum": 60.0}
-    misled, blind = regulator(**config), regulator(**config)
-    wrong = FORCES * np.array([[-3.0, 3.0, -3.0], [1.0, 1.0, 1.0], [1.0, 1.0, 1.0]])
-    for slip in (misled, blind):
-        run(slip, 300)
-    for i in range(300, 300 + late):
-        misled.step(i * TICK, three_faces(), wrong)
-    held = misled.grasp_force
-    assert held > blind.grasp_force + 4.0
-    misled.reject_touch(ALL)
-    for i in range(300 + late, 550):
-        assert misled.step(i * TICK, three_faces(), wrong) == held
-    assert (misled.state == UNKNOWN).all()
-    misled.reject_touch(~ALL)
-    random = np.random.default_rng(8)
-    for i in range(550, 2000):
-        forces = FORCES + 0.005 * random.standard_normal((3, 3))
-        misled.step(i * TICK, three_faces(), forces), blind.step(i * TICK, three_faces(), forces)
-        assert misled.grasp_force >= blind.grasp_force - 1e-6
-    assert misled.needed == pytest.approx(blind.needed, rel=0.05)
-    np.testing.assert_allclose(misled.learned_friction, blind.learned_friction, rtol=0.05)
+HEAVY = FORCES + [[0.0, 0.0, 2.0], [0.0, 0.0, 2.0], [0.0, 0.0, 0.0]]
 
 
-def test_a_rejected_touch_leaves_neither_friction_nor_load_behind():
-    """A false slip lowers the friction and a false load raises the margin; both are reverted."""
+def shocked():
+    """Return a regulator at tick 310, after a false slip and load, and friction and k_f before."""
     slip, random = regulator(mode="auto", maximum=200.0), np.random.default_rng(3)
     run(slip, 300)
     known, ready = slip.learned_friction, slip.ready
@@ -378,46 +346,48 @@ def test_a_rejected_touch_leaves_neither_friction_nor_load_behind():
         shaken = 4.0 * FORCES * [0.2, 1.0, 0.2] + 0.4 * random.standard_normal((3, 3))
         slip.step(i * TICK, three_faces(), shaken)
     assert (slip.learned_friction < 0.9 * known).any()
+    return slip, known, ready
+
+
+def test_a_rejected_touch_leaves_neither_friction_nor_load_behind():
+    """A false slip lowers the friction and a false load raises the margin; both are reverted."""
+    slip, known, ready = shocked()
+    held = slip.grasp_force
     slip.reject_touch(ALL)
     np.testing.assert_allclose(slip.learned_friction, known, rtol=0.01)
-    slip.step(310 * TICK, three_faces(), FORCES)
+    for i in range(310, 350):
+        assert slip.step(i * TICK, three_faces(), 3.0 * FORCES[::-1]) == held
+    assert (slip.state == UNKNOWN).all()
     slip.reject_touch(~ALL)
-    for i in range(311, 400):
+    for i in range(350, 400):
         slip.step(i * TICK, three_faces(), FORCES)
+    np.testing.assert_allclose(slip.learned_friction, known, rtol=0.01)
     assert slip.ready == pytest.approx(ready, rel=0.03)
 
 
 def test_a_load_that_has_come_while_touch_was_doubted_is_met_at_once():
     slip = regulator(mode="auto")
-    heavy = FORCES + [[0.0, 0.0, 2.0], [0.0, 0.0, 2.0], [0.0, 0.0, 0.0]]
     run(slip, 300)
     slip.reject_touch(ALL)
     for i in range(300, 400):
-        before = slip.step(i * TICK, three_faces(), heavy)
+        before = slip.step(i * TICK, three_faces(), HEAVY)
     slip.reject_touch(~ALL)
-    assert slip.step(400 * TICK, three_faces(), heavy) == slip.needed > before + 0.5
+    assert slip.step(400 * TICK, three_faces(), HEAVY) == slip.needed > before + 0.5
 
 
 def test_while_the_joints_are_held_the_load_counts_and_slips_do_not():
     """A guard hands over to k_f: a value from before the load would drop the object."""
-    slip, random = regulator(mode="auto", maximum=200.0), np.random.default_rng(3)
-    heavy = FORCES + [[0.0, 0.0, 2.0], [0.0, 0.0, 2.0], [0.0, 0.0, 0.0]]
-    run(slip, 300)
-    known, before = slip.learned_friction, slip.grasp_force
-    for i in range(300, 310):  # the hold starts with a shock
-        shaken = 4.0 * FORCES * [0.2, 1.0, 0.2] + 0.4 * random.standard_normal((3, 3))
-        slip.step(i * TICK, three_faces(), shaken)
-    assert (slip.learned_friction < 0.9 * known).any()
+    (slip, known, before), random = shocked(), np.random.default_rng(4)
     slip.joints_held = True
     np.testing.assert_allclose(slip.learned_friction, known, rtol=0.01)
     for i in range(310, 400):
-        slip.step(i * TICK, three_faces(), heavy + 0.15 * random.standard_normal((3, 3)))
+        slip.step(i * TICK, three_faces(), HEAVY + 0.15 * random.standard_normal((3, 3)))
         assert (slip.state == UNKNOWN).all()
     np.testing.assert_allclose(slip.learned_friction, known, rtol=0.01)
-    held = slip.step(400 * TICK, three_faces(), heavy)
+    held = slip.step(400 * TICK, three_faces(), HEAVY)
     assert before + 0.5 < slip.needed <= held < 3.0 * slip.needed
     slip.joints_held = False
-    assert slip.step(401 * TICK, three_faces(), heavy) == pytest.approx(held, rel=0.1)
+    assert slip.step(401 * TICK, three_faces(), HEAVY) == pytest.approx(held, rel=0.1)
 
 
 def test_a_skin_that_freezes_while_it_shows_slip_does_not_drive_the_grasp_force_up():
@@ -439,8 +409,7 @@ def test_what_is_released_and_grasped_again_may_be_another_object():
     run(slip, 300)
     run(slip, 20, slides=(0, 1, 2))
     assert (slip.learned_friction != 0.4).any()
-    nothing = Contacts(np.full((3, 3), np.nan), three_faces().rotations)
-    slip.step(10**9, nothing, np.full((3, 3), np.nan))
+    slip.step(10**9, three_faces().without(ALL), np.zeros((3, 3)))
     np.testing.assert_array_equal(slip.learned_friction, 0.4)
 
 
@@ -531,8 +500,7 @@ def test_the_next_object_is_pressed_as_the_user_asks():
     slip = regulator(mode="auto", grasp_force=8.0)
     normal_run(slip, 0, 1000)
     assert normal_run(slip, 1000, 40, slides=True)[-1] == 16.0
-    nothing = Contacts(np.full((3, 3), np.nan), three_faces().rotations)
-    slip.step(1_040_000_000, nothing, np.full((3, 3), np.nan))
+    slip.step(1_040_000_000, three_faces().without(ALL), np.full((3, 3), np.nan))
     assert normal_run(slip, 1041, 2000)[-1] == pytest.approx(8.0)
 
 

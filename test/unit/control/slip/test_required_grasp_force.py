@@ -50,30 +50,17 @@ def test_noise_on_a_light_finger_does_not_raise_it():
     assert np.ptp(needs) < 0.1 * np.mean(needs)
 
 
-def test_a_shape_outside_its_cone_is_no_help():
-    load = WEIGHT.copy()
-    outside = SHAPE + np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 0.0], [0.04, 0.0, 0.0]])
-    load[2] = [0.5, 0.0, 0.0]
-    assert np.isinf(step(fresh(), parts(load, 6.0 * outside), dt=0.0)[0])
-
-
-def ramped(finger, rate, ticks=100):
-    """Return the need while the load of one finger, (0.6, 0, 0.8) N, grows along itself."""
-    need = fresh()
-    shape = SHARES[:, None] * [0.0, 1.0, 0.0]
-    load = np.zeros((3, 3))
-    for i in range(ticks):
-        load[finger] = (1.0 + rate * DT * i) * np.array([0.6, 0.0, 0.8])
-        needed, _ = step(need, parts(load, 6.0 * shape), OWN, DT if i else 0.0)
-    return needed
-
-
 @pytest.mark.parametrize("finger", range(3))
 @pytest.mark.parametrize("rate", [20.0, 2.0, -8.0])
-def test_what_will_be_there_after_the_lead_counts(finger, rate):
-    """10 ms ahead, for a load that grows steadily."""
-    load = 1.0 + rate * (0.099 + 0.01)
-    assert ramped(finger, rate) == pytest.approx(load / (SHARES[finger] * OWN[finger]), rel=1e-6)
+@pytest.mark.parametrize("dt", [5e-4, 1e-3, 4e-3])
+def test_what_will_be_there_after_the_lead_counts(finger, rate, dt):
+    """10 ms ahead at any rate of the ticks, for a load that grows steadily along itself."""
+    need, load, shape = fresh(), np.zeros((3, 3)), SHARES[:, None] * [0.0, 1.0, 0.0]
+    for time in dt * np.arange(round(0.1 / dt)):
+        load[finger] = (1.0 + rate * time) * np.array([0.6, 0.0, 0.8])
+        needed, _ = step(need, parts(load, 6.0 * shape), OWN, dt if time else 0.0)
+    ahead = 1.0 + rate * (time + 0.01)
+    assert needed == pytest.approx(ahead / (SHARES[finger] * OWN[finger]), rel=1e-6)
 
 
 def test_a_shape_is_followed_slowly():
@@ -93,21 +80,6 @@ def test_where_no_time_has_passed_forces_count_unfiltered():
     follow(need, 3.0 * WEIGHT, 20)
     needed, _ = step(need, parts(WEIGHT, 6.0 * SHAPE), dt=0.0)
     assert needed == pytest.approx(1.0 / (0.475 * 0.5))
-
-
-@pytest.mark.parametrize("rate", [250.0, 500.0, 1000.0, 2000.0])
-def test_the_law_does_not_depend_on_the_rate_of_the_ticks(rate):
-    """A load that grows by 8 N/s is predicted to the same instant at any rate, and with gaps."""
-    random = np.random.default_rng(int(rate))
-    for steps in (np.full(400, 1.0), random.integers(1, 4, 400)):
-        need, time = fresh(), 0.0
-        for dt in steps / rate:
-            time += dt
-            load = np.array([[0.0, 0.0, 1.0 + 8.0 * time], [0.0] * 3, [0.0] * 3])
-            needed, _ = step(need, parts(load, 6.0 * SHAPE), dt=dt)
-        foreseen = 1.0 + 8.0 * time
-        assert needed * 0.475 * 0.5 == pytest.approx(foreseen, abs=8.0 * 0.016)
-        assert needed * 0.475 * 0.5 > foreseen
 
 
 def at_once(**reserve):
@@ -165,9 +137,9 @@ def test_the_margin_of_load_is_the_larger_of_its_floor_and_a_fraction_of_the_rec
 CARRIED = WEIGHT + np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 0.0], [0.1, 0.0, 0.0]])
 
 
-def reserves(need, ticks, load=CARRIED, first=0):
+def reserves(need, ticks, first=0):
     """Return needed and available force at each tick, shape (ticks, 2)."""
-    now = parts(load, 6.0 * SHAPE)
+    now = parts(CARRIED, 6.0 * SHAPE)
     return np.array([step(need, now, dt=DT if first + i else 0.0) for i in range(ticks)])
 
 
@@ -184,23 +156,8 @@ def test_the_reserve_of_a_new_grasp_rises_over_its_time():
     np.testing.assert_allclose(ready[:50], expected, rtol=1e-9)
 
 
-@pytest.mark.parametrize("ticks", [1, 20, 49])
-def test_a_load_that_comes_before_the_reserve_is_answered_as_fast_as_one_that_comes_later(ticks):
-    """The need of each tick is that without any reserve."""
-    need, bare = required(), fresh()
-    for each in (need, bare):
-        reserves(each, ticks)
-    found = reserves(need, 30, 3.0 * CARRIED, first=ticks)
-    np.testing.assert_array_equal(found[:, 0], reserves(bare, 30, 3.0 * CARRIED, first=ticks)[:, 0])
-    assert (found[:, 1] >= found[:, 0]).all()
-
-
-def test_what_is_there_of_a_reserve_never_rises_slowly_again_while_the_grasp_lasts():
-    """After the rise, another load or radius counts immediately."""
-    need, at = required(), at_once(fraction=0.2)
-    for each in (need, at):
-        reserves(each, 101)
-    first = [reserves(each, 50, 9.0 * CARRIED, first=101) for each in (need, at)]
-    np.testing.assert_array_equal(*first)
+def test_the_reserve_rises_again_with_the_next_grasp():
+    need = at_once(floor=3.0)
+    assert np.diff(reserves(need, 1, first=1)[0]) > 0.0
     need.lose()
     assert np.diff(reserves(need, 1)[0]) == 0.0
