@@ -26,7 +26,7 @@ from bench.processes import isolated_domain
 from tactile_hand_ros import names
 from tactile_hand_ros.config.paths import config_directory
 from tactile_hand_ros.nodes import viewer
-from tactile_hand_ros.nodes.viewer import Frame, ViewerNode, contact_markers
+from tactile_hand_ros.nodes.viewer import ViewerNode
 from tactile_hand_ros.ros.endpoints import message_class, subscribe_directly, take_latest
 from tactile_hand_ros.ros.middleware import ros_context
 from tactile_hand_ros.ros.processes import wait_until
@@ -34,47 +34,11 @@ from tactile_hand_ros.ros.processes import wait_until
 ROOT = Path(__file__).resolve().parents[3]
 VIEWS = config_directory() / "views"
 RVIZ_TOPICS = {"MarkerArray": "Topic", "RobotModel": "Description Topic"}
-TURN = np.array([0.1, 0.2, 0.3, np.sqrt(0.86)])
-FORCES = np.array([[1.0, 4.0, -2.0], [0.5, -1.0, 0.25], [0.0, 0.0, 0.0], [3.0, 8.0, 6.0]])
-
-
-def drawn(forces: Any) -> dict[str, dict[int, Marker]]:
-    """Return the markers of successive contacts, by namespace and finger."""
-    places = [np.array([i, i + 0.25, i + 0.5]) for i in range(len(forces))]
-    contacts = [Frame(f"c{i}", place, TURN) for i, place in enumerate(places)]
-    found: dict[str, dict[int, Marker]] = {}
-    with np.errstate(invalid="ignore"):
-        for marker in contact_markers(contacts, np.array(forces)):
-            found.setdefault(marker.ns, {})[marker.id] = marker
-    return found
-
-
-def points(marker: Marker) -> np.ndarray[Any, Any]:
-    return np.array([[p.x, p.y, p.z] for p in marker.points])
 
 
 def place(marker: Marker) -> list[float]:
-    at, turn = marker.pose.position, marker.pose.orientation
-    return [at.x, at.y, at.z, turn.x, turn.y, turn.z, turn.w]
-
-
-def at(number: int) -> list[float]:
-    return [number, number + 0.25, number + 0.5, *TURN]
-
-
-def test_a_force_is_an_arrow_and_the_strongest_is_twelve_centimetres_long() -> None:
-    arrows = drawn([*FORCES, FORCES[0]])["forces"]
-    assert sorted(arrows) == [0, 1, 3, 4]  # no arrow without a force
-    for i, arrow in arrows.items():
-        start, end = points(arrow)
-        assert not start.any()
-        np.testing.assert_allclose(end, [*FORCES, FORCES[0]][i] * 0.12 / np.sqrt(109.0))
-        assert arrow.type == Marker.ARROW and place(arrow) == at(i)
-
-
-@pytest.mark.parametrize("force", [[np.nan, 1.0, 1.0], [0.0, 0.0, 0.0], [1.0, np.inf, 0.0]])
-def test_a_force_that_is_not_known_leaves_the_ball(force: list[float]) -> None:
-    assert set(drawn([force])) == {"contacts"}
+    at = marker.pose.position
+    return [at.x, at.y, at.z]
 
 
 STRAIGHT = [0.0, 0.0, 0.0, 1.0]
@@ -107,6 +71,10 @@ class Stage:
         self._publishers[topic].publish(message)
         assert self._publishers[topic].wait_for_all_acked()
 
+    def force(self, finger: int, force: list[float]) -> None:
+        message = force_message(force, 5, f"{FINGERS[finger]}_contact")
+        self.send(f"tactile/{FINGERS[finger]}/wrench", message)
+
     def watch(self) -> None:
         profile = QoSProfile(depth=1)
         self._shown = subscribe_directly(self.node, MarkerArray, "markers", profile)
@@ -131,25 +99,28 @@ def stage() -> Iterator[Stage]:
 
 
 def test_a_picture_holds_the_newest_of_everything(stage: Stage) -> None:
+    """The arrow of the strongest force is 12 cm long, and none is drawn without a force."""
     stage.watch()
-    assert set(stage.show()) == {"all"}
+    assert set(stage.show()) == {""}
     for x in (1.0, 2.0):
         stage.send("ground_truth/object_pose", pose_message([x, 0.0, 0.0], STRAIGHT, 5))
         stage.send("accepted/desired_pose", pose_message([x, 1.0, 0.0], STRAIGHT, 5))
     stage.send("tactile/contacts", contacts_message(TOUCH, TURNS, 5))
-    assert set(stage.show()) == {"all", "object", "goal", "contacts"}
-    stage.send("tactile/finger_1/wrench", force_message([0.0, 3.0, 0.0], 5, "finger_1_contact"))
-    stage.send("tactile/finger_2/wrench", force_message([0.0, 6.0, 0.0], 5, "finger_2_contact"))
+    stage.force(0, [0.0, 0.0, 0.0])
+    assert set(stage.show()) == {"", "object", "goal", "contacts"}
+    stage.force(0, [0.0, 3.0, 0.0])
+    stage.force(1, [2.0, 3.0, -6.0])
     shown = stage.show()
-    assert place(shown["object"][0])[:3] == [2.0, 0.0, 0.0] and place(shown["goal"][0])[:3] == [
-        2.0,
-        1.0,
-        0.0,
-    ]
-    assert [place(ball)[:3] for ball in shown["contacts"]] == TOUCH[:2].tolist()
-    assert [arrow.points[1].y for arrow in shown["forces"]] == pytest.approx([0.06, 0.12])
-    assert {m.header.frame_id for each in shown.values() for m in each} == {"left/palm"}
-    assert stage.show() == shown
+    assert [place(shown[name][0]) for name in ("object", "goal")] == [[2, 0, 0], [2, 1, 0]]
+    for name in ("contacts", "forces"):
+        assert [place(marker) for marker in shown[name]] == TOUCH[:2].tolist()
+    ends = [[p.x, p.y, p.z] for arrow in shown["forces"] for p in arrow.points]
+    scale, none = 0.12 / 7.0, [0.0] * 3
+    expected = [none, [0.0, 3.0 * scale, 0.0], none, [2.0 * scale, 3.0 * scale, -6.0 * scale]]
+    np.testing.assert_allclose(ends, expected)
+    assert shown["forces"][0].type == Marker.ARROW
+    frames = {m.header.frame_id for name, each in shown.items() if name for m in each}
+    assert frames == {"left/palm"} and stage.show() == shown
 
 
 def test_what_is_no_measurement_is_not_shown(stage: Stage) -> None:
@@ -158,11 +129,11 @@ def test_what_is_no_measurement_is_not_shown(stage: Stage) -> None:
     for turn in (STRAIGHT, [0.0] * 4):  # the second is no rotation
         stage.send("ground_truth/object_pose", pose_message([0.0] * 3, turn, 5))
         assert ("object" in stage.show()) == (turn is STRAIGHT)
-    assert set(stage.show()) == {"all"}
+    assert set(stage.show()) == {""}
     stage.send("tactile/contacts", contacts_message(TOUCH, TURNS, 5))
-    wrong = force_message([0.0, np.inf, 0.0], 5, "finger_1_contact")
-    stage.send("tactile/finger_1/wrench", wrong)
-    assert set(stage.show()) == {"all", "contacts"}
+    for force in ([0.0, np.inf, 0.0], [np.nan, 1.0, 1.0]):
+        stage.force(0, force)
+        assert set(stage.show()) == {"", "contacts"}
 
 
 def test_a_best_effort_publisher_is_shown_and_wakes_nobody(stage: Stage) -> None:
@@ -179,15 +150,6 @@ def test_a_best_effort_publisher_is_shown_and_wakes_nobody(stage: Stage) -> None
     wait_until(is_shown)
     taken = list(stage.viewer.subscriptions)
     assert len(taken) == len(KINDS) and not any(each.event_handlers for each in taken)
-
-
-def test_the_reliability_of_what_is_shown_can_be_overridden() -> None:
-    name = "qos_overrides./tactile/contacts.subscription.reliability"
-    with isolated_domain() as domain, ros_context(domain=domain) as context:
-        made = ViewerNode(context=context, parameter_overrides=[Parameter(name, value="reliable")])
-        profiles = {each.topic_name: each.qos_profile for each in made.subscriptions}
-        assert profiles["/tactile/contacts"].reliability.name == "RELIABLE"
-        made.destroy_node()
 
 
 def test_with_tf2_contacts_and_object_are_transforms(
