@@ -56,26 +56,22 @@ _EVENT = "event"
 
 
 def _lateness(timer: Timer) -> int:
-    """Return how long the deadline of a timer, a period after it was due, is past [ns]."""
+    """Return how long ago a timer was due, less its period [ns]."""
     return int(-(timer.time_until_next_call() or 0) - timer.timer_period_ns)
 
 
-def spin(nodes: Node | Sequence[Node], executor: Executor | None = None) -> None:
-    """Serve one or several nodes of one context until it is shut down.
+def spin(nodes: Sequence[Node]) -> None:
+    """Serve nodes of one context until SIGINT, SIGTERM or ``rclpy.shutdown``.
 
-    Returns after SIGINT, SIGTERM or ``rclpy.shutdown``. An exception in a callback propagates. The
-    default executor is a new `WaitSetExecutor`.
+    An exception in a callback propagates.
     """
-    listed = [nodes] if isinstance(nodes, Node) else list(nodes)
-    chosen = executor or WaitSetExecutor(context=listed[0].context)
-    for node in listed:
-        chosen.add_node(node)
+    executor = WaitSetExecutor(context=nodes[0].context)
+    for node in nodes:
+        executor.add_node(node)
     try:
-        chosen.spin()
+        executor.spin()
     finally:
-        for node in listed:
-            chosen.remove_node(node)
-        chosen.shutdown()
+        executor.shutdown()
 
 
 class _WaitSet:
@@ -84,12 +80,12 @@ class _WaitSet:
     def __init__(
         self, entities: Mapping[str, Iterable[Any]], context: Context, stack: ExitStack
     ) -> None:
-        """Collect the entities, by kind; `stack` keeps them in use until it closes."""
+        """Take the entities, by kind; `stack` keeps them in use until it closes."""
         self._known: dict[int, Any] = {}
         self._events: list[Any] = []
         held: list[tuple[str, Any]] = []
         stack.enter_context(context.handle)
-        for kind, each in ((kind, each) for kind, some in entities.items() for each in some):
+        for kind, each in [(kind, each) for kind, some in entities.items() for each in some]:
             with suppress(InvalidHandle):  # destroyed by another thread in the meantime
                 if kind == _EVENT:
                     stack.enter_context(each)

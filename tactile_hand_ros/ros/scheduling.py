@@ -9,14 +9,12 @@ from __future__ import annotations
 
 import contextlib
 import os
-from collections.abc import Sequence
 from pathlib import Path
 
 from tactile_hand_ros.errors import ConfigurationError
 from tactile_hand_ros.ros.diagnostics import WARN, Diagnostics
 
 PRIORITY = "--priority"
-USAGE = f"{PRIORITY} N (SCHED_FIFO, 1 to 99)"
 
 _POLICIES = {
     number: name
@@ -61,28 +59,11 @@ def yield_while_resending() -> None:
                 os.sched_setscheduler(thread, os.SCHED_FIFO, os.sched_param(1))
 
 
-def take_priority(words: Sequence[str]) -> tuple[int, list[str]]:
-    """Parse the option; return the priority, 0 without it, and the other arguments.
-
-    Raises:
-        ConfigurationError: If the value is missing or not allowed.
-    """
-    left, text = [], "0"
-    rest = iter(words)
-    for word in rest:
-        name, equals, value = word.partition("=")
-        if name == PRIORITY:
-            text = value if equals else next(rest, "")
-        else:
-            left.append(word)
-    return parse_priority(text), left
-
-
 def parse_priority(text: str) -> int:
-    """Parse a priority.
+    """Return a priority from 0 to 99.
 
     Raises:
-        ConfigurationError: If it is not an integer from 0 to 99.
+        ConfigurationError: If it is anything else.
     """
     if not text.isdecimal() or int(text) > _HIGHEST:
         raise ConfigurationError(

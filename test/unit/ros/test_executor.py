@@ -63,8 +63,9 @@ def spin_until(nodes: list[Any], condition: Callable[[], Any]) -> None:
             executor.shutdown(timeout_sec=0)
 
     nodes[-1].create_timer(0.002, look)
-    spin(nodes, executor)
-    assert executor.get_nodes() == []
+    for node in nodes:
+        executor.add_node(node)
+    executor.spin()
 
 
 def succeed(_: Any, answer: Trigger.Response) -> Trigger.Response:
@@ -158,7 +159,7 @@ def test_an_error_that_no_node_survives_ends_the_loop(nodes):
     nodes[2].create_service(Trigger, "s", lambda *_: {}["left"])
     asked(nodes[2], "s")
     with pytest.raises(KeyError, match="left"):
-        spin(nodes[2])
+        spin(nodes[2:])
 
 
 def test_a_flood_leaves_the_other_topics_their_turn(nodes):
@@ -217,7 +218,8 @@ def test_what_waits_for_the_end_of_reading_is_called_once_after_all_messages(nod
 
     nodes[0].create_subscription(Float64, "x", on_message, 10)
     publish(nodes[1], "x", *[Float64(data=float(n)) for n in range(3)])
-    spin(nodes[0], executor)
+    executor.add_node(nodes[0])
+    executor.spin()
     assert calls == [0.0, 1.0, 2.0, "read"]
 
 
