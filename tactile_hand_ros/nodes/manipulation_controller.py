@@ -139,12 +139,9 @@ class ManipulationControllerNode(TactileNode[ControllerConfig]):
     def __init__(self, *, composed: bool = False, time_waits: bool = False, **kwargs: Any) -> None:
         """Build the controller.
 
-        Args:
-            composed: Whether a chain in this process calls `step` and sets `joints_held`, so that
-                neither ticks nor `joint_hold` are received.
-            time_waits: Whether time waits for each answer, so that every answer must be sent.
-                Without a chain, a repeated tick shows this.
-            **kwargs: For `rclpy.node.Node`.
+        With `composed`, a chain in this process calls `step` and sets `joints_held`, so that
+        neither ticks nor `joint_hold` are received. With `time_waits`, time waits for each answer,
+        so every answer must be sent; without a chain, a repeated tick shows this.
 
         Raises:
             TactileHandError: If a parameter is rejected or the hand cannot be built.
@@ -340,20 +337,13 @@ class ManipulationControllerNode(TactileNode[ControllerConfig]):
                 self._desired.after(stamp)
                 self._report.note(command, theta, contacts)
         except TickFailedError as failure:
-            command = self._safe_answer(stamp, Joints(theta, rates, applied), failure)
+            joints = Joints(theta, rates, applied)
+            if self._answer is None:  # none was sent before the failure: hold the hand
+                self.guarded("safe state", self.on_blind_tick)(stamp, joints, str(failure))
+            if self._answer is None:
+                raise
+            command = self._answer[1]
         return command
-
-    def _safe_answer(self, stamp: int, joints: Joints, failure: TickFailedError) -> Command:
-        """Return the answer sent before a failure; if there is none, hold the hand.
-
-        Raises:
-            TickFailedError: If the hold fails too.
-        """
-        if self._answer is None:
-            self.guarded("safe state", self.on_blind_tick)(stamp, joints, str(failure))
-        if self._answer is None:
-            raise failure
-        return self._answer[1]
 
     def _publish_rejection(self) -> None:
         """Publish the fingers whose touch contradicts the joints, if that has changed."""
@@ -412,10 +402,8 @@ class ManipulationControllerNode(TactileNode[ControllerConfig]):
     def _limited(self, torque: Array) -> Array:
         """Clip a torque to the joints' effort limits, and warn if it exceeds them."""
         is_over = bool((np.abs(torque) > self._limits).any())
-        if is_over:
-            self.diagnostics.fault("torque", _AT_LIMIT, WARN)
-        elif self._is_limited:
-            self.diagnostics.clear("torque")
+        if is_over or self._is_limited:
+            self.diagnostics.judge("torque", is_over, _AT_LIMIT, WARN)
         self._is_limited = is_over
         return np.clip(torque, -self._limits, self._limits) if is_over else torque
 

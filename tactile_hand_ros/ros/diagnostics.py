@@ -11,16 +11,13 @@ from typing import Any
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 
-from tactile_hand_ros.errors import counted
+from tactile_hand_ros.errors import counted, shortened
 
 OK, WARN = DiagnosticStatus.OK, DiagnosticStatus.WARN
 ERROR, STALE = DiagnosticStatus.ERROR, DiagnosticStatus.STALE
 
 WARN_SECONDS = 5.0
 """How long a rejected message keeps the level at WARN and an error keeps it at ERROR [s]."""
-
-_LONGEST_REASON = 300
-"""Maximum length of a stored reason, in characters."""
 
 _WINDOW = 4096
 """Number of recent latencies used for the percentiles."""
@@ -46,7 +43,7 @@ class Diagnostics:
     """
 
     def __init__(self, name: str, clock: Callable[[], float] = time.monotonic) -> None:
-        """Create the counters for a node; `clock` [s] serves only rates and warning durations."""
+        """Create the counters of a node; `clock` [s] serves only rates and warning durations."""
         self.name, self.expects = name, ""
         self._clock = clock
         self._ticks = 0
@@ -84,7 +81,7 @@ class Diagnostics:
             self.clear(key)
 
     def clear(self, key: str) -> None:
-        """Clear a fault; do nothing if it is not set."""
+        """Clear a fault, if it is set."""
         self._faults.pop(key, None)
 
     def reject(self, topic: str, error: Exception | str) -> bool:
@@ -98,7 +95,7 @@ class Diagnostics:
     def _note(self, entries: dict[str, _Notes], key: str, error: Exception | str) -> bool:
         entry = entries.setdefault(key, _Notes())
         now = self._clock()
-        entry.count, entry.reason, entry.last = entry.count + 1, str(error)[:_LONGEST_REASON], now
+        entry.count, entry.reason, entry.last = entry.count + 1, shortened(error), now
         is_due = now - entry.logged >= WARN_SECONDS
         if is_due:
             entry.logged = now

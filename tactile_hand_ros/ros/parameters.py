@@ -27,7 +27,7 @@ from tactile_hand_ros.config.explanation import (
 )
 from tactile_hand_ros.config.model import Config, flatten, from_flat, is_config, leaves
 from tactile_hand_ros.config.plain_yaml import parse_yaml
-from tactile_hand_ros.errors import ConfigurationError, MessageError, TactileHandError
+from tactile_hand_ros.errors import ConfigurationError, TactileHandError
 from tactile_hand_ros.ros.endpoints import described
 
 C = TypeVar("C", bound=Config)
@@ -67,8 +67,7 @@ class ConfigParameters(Generic[C]):
             node: The node.
             model: The configuration class.
             on_change: Called with the new configuration after each accepted change.
-            check: Called with the new configuration before; may raise TactileHandError to reject
-                it for reasons that the model alone cannot check.
+            check: Called with the new configuration before; may raise TactileHandError.
 
         Raises:
             ConfigurationError: If a given value is rejected or no field has the given name.
@@ -153,28 +152,6 @@ class ConfigParameters(Generic[C]):
             self._on_change(self.config)
 
 
-def with_known_types(callback: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Any]:
-    """Return a service callback that rejects parameters whose type number ROS does not define.
-
-    Raises:
-        MessageError: From the callback. rclpy would raise ValueError, which is not a rejection.
-    """
-
-    def checked(request: Any, response: Any) -> Any:
-        for parameter in getattr(request, "parameters", ()):
-            if parameter.value.type not in _TYPE_NUMBERS:
-                raise MessageError(
-                    f"the value of '{parameter.name[:80]}' has type {parameter.value.type}, "
-                    "expected one of rcl_interfaces/msg/ParameterType"
-                )
-        return callback(request, response)
-
-    return checked
-
-
-_TYPE_NUMBERS = {kind.value for kind in Type}
-
-
 def _retyped(parameter: Parameter, wanted: Parameter.Type) -> Parameter:
     value = parameter.value
     if parameter.type_ is Type.INTEGER and wanted is Type.DOUBLE:
@@ -190,17 +167,10 @@ _EMPTY_ARRAYS = (Type.BYTE_ARRAY, *_ARRAYS.values())
 
 
 def ros_type(field: FieldInfo) -> Parameter.Type:
-    """Return the ROS parameter type of a field.
-
-    Raises:
-        TypeError: If ROS has no parameter type for it.
-    """
-    annotation = field.annotation
-    item = element_type(annotation)
-    scalar = Type.STRING if choices_of(item) or is_config(item) else _SCALARS.get(item)
-    if scalar is None:
-        raise TypeError(f"{annotation} is not a type that a ROS parameter can have")
-    return _ARRAYS[scalar] if is_sequence(annotation) else scalar
+    """Return the ROS parameter type of a field."""
+    item = element_type(field.annotation)
+    scalar = Type.STRING if choices_of(item) or is_config(item) else _SCALARS[item]
+    return _ARRAYS[scalar] if is_sequence(field.annotation) else scalar
 
 
 def from_ros(field: FieldInfo, value: Any, place: str = "") -> Any:
@@ -227,14 +197,9 @@ def to_ros(field: FieldInfo, value: Any) -> Any:
 
 def _scalar_to_ros(value: Any) -> Any:
     if isinstance(value, Config):
-        return _flow_mapping(value)
+        data = value.model_dump(mode="json")
+        return yaml.safe_dump(data, default_flow_style=True, sort_keys=False, width=10**9).strip()
     return value.value if isinstance(value, enum.Enum) else value
-
-
-def _flow_mapping(config: Config) -> str:
-    data = config.model_dump(mode="json")
-    text: str = yaml.safe_dump(data, default_flow_style=True, sort_keys=False, width=10**9)
-    return text.strip()
 
 
 def to_parameter(name: str, field: FieldInfo, value: Any) -> Parameter:

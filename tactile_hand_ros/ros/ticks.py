@@ -136,13 +136,6 @@ class SenderCheck:
         return self._found is not None and self._clock() - self._found < _LASTING
 
 
-def rank(stamp_ns: int, previous_ns: int | None) -> int:
-    """Return the rank of a tick [ns], given the previous one; the first has the highest rank."""
-    if previous_ns is None:
-        return _HIGHEST
-    return (stamp_ns // _MILLISECOND ^ previous_ns // _MILLISECOND).bit_length() - 1
-
-
 def chosen(stamps: Sequence[int], previous: int | None) -> list[int]:
     """Return which of several complete ticks [ns], oldest first, to answer; the others are skipped.
 
@@ -154,14 +147,14 @@ def chosen(stamps: Sequence[int], previous: int | None) -> list[int]:
     tick comes at least 2^n ms minus one period later, so a node that lags less does not skip it.
     All nodes therefore regularly answer the same ticks, regardless of their lag.
     """
-    ranks = [
-        rank(stamp, before) for stamp, before in zip(stamps, [previous, *stamps], strict=False)
-    ]
     kept: list[int] = []
     highest = -1
-    for stamp, own in zip(reversed(stamps), reversed(ranks), strict=True):
-        if own >= highest:
-            highest = own
+    for stamp, before in reversed(list(zip(stamps, [previous, *stamps], strict=False))):
+        rank = _HIGHEST
+        if before is not None:
+            rank = (stamp // _MILLISECOND ^ before // _MILLISECOND).bit_length() - 1
+        if rank >= highest:
+            highest = rank
             kept.append(stamp)
     return kept[::-1]
 

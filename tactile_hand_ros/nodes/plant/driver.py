@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping
-from types import MappingProxyType
 from typing import Any, Protocol
 
 from geometry_msgs.msg import PoseStamped
@@ -45,8 +44,6 @@ class InProcessHand(Protocol):
 
 CONFLICT = two_senders(names.JOINT_COMMAND)
 _LEFT = f"no {names.JOINT_COMMAND} since there were two senders of it"
-
-NO_INFO: Mapping[str, Any] = MappingProxyType({})
 
 _TURN = 0.005
 """Time to run ticks before messages and services are served [s]."""
@@ -206,8 +203,11 @@ class PlantDriver:
             self.hand.on_restart()
         self.begin()
 
-    def command(self, stamp: int, torque: Array, info: Mapping[str, Any] = NO_INFO) -> None:
-        """Apply the torque, shape (m,), N m, that answers a tick [ns]; ignore late commands."""
+    def command(self, stamp: int, torque: Array, info: Mapping[str, Any]) -> None:
+        """Apply the torque, shape (m,), N m, that answers a tick [ns]; ignore late commands.
+
+        The middleware's info on a received command shows whether there are two senders.
+        """
         run = self._run
         self._note_answer(stamp)
         contested = self._senders.note(info)
@@ -320,7 +320,7 @@ class PlantDriver:
     def _take_answer(self) -> None:
         if self._torque is not None:
             torque, self._torque = self._torque, None
-            self.command(self._run.stamp, torque)
+            self.command(self._run.stamp, torque, {})
 
     def work(self) -> bool:
         """Run ticks of a hand in this process for a moment; return whether more are ready."""

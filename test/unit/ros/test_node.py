@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray
-from rcl_interfaces.msg import Log, ParameterValue
+from rcl_interfaces.msg import Log
 from rcl_interfaces.msg import Parameter as ParameterMessage
 from rcl_interfaces.srv import SetParameters, SetParametersAtomically
 from rclpy.parameter import Parameter
@@ -176,20 +176,6 @@ def test_the_place_is_the_innermost_of_this_package_or_else_of_all():
     except ValueError as error:
         assert location(error).startswith(f"{HERE}:")
     assert location(ValueError("never raised")) == "unknown"
-
-
-def test_a_parameter_of_an_unknown_type_is_refused(here, node):
-    good = Parameter("gain", value=2.0).to_parameter_msg()
-    for number, name in ((10, "gain"), (255, "no_such")):
-        odd = ParameterMessage(name=name, value=ParameterValue(type=number))
-        service = "/left/example/set_parameters"
-        both = here.call(SetParameters, service, parameters=[odd, good])
-        assert [result.successful for result in both.results] == [False, False]
-        assert f"has type {number}" in both.results[0].reason
-        service += "_atomically"
-        together = here.call(SetParametersAtomically, service, parameters=[good, odd])
-        assert not together.result.successful
-    assert counts(node, "errors") == {} and node.config.gain == 1.0
 
 
 def test_health_is_reported_when_a_peer_comes_or_goes(here, node):
