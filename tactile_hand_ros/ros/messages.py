@@ -27,7 +27,7 @@ from geometry_msgs.msg import WrenchStamped
 from numpy.typing import NDArray
 from sensor_msgs.msg import JoyFeedback, JoyFeedbackArray
 
-from tactile_hand_ros.cdr import CdrTemplate, Content, ContentReader, to_nanoseconds
+from tactile_hand_ros.cdr import ENCODING, CdrTemplate, Content, ContentReader, to_nanoseconds
 from tactile_hand_ros.compiled import Array
 from tactile_hand_ros.config.explanation import did_you_mean
 from tactile_hand_ros.control.contact import Contacts
@@ -99,12 +99,12 @@ def check_output(values: Array, *, nan_allowed: bool = False) -> None:
 
 def read_number(data: bytes) -> float:
     """Return the number of a serialized std_msgs/Float64; it raises as each `decode`."""
-    if len(data) < _NUMBER_SIZE or data[0] or data[1] > 1:
+    if len(data) < _NUMBER_SIZE or data[:2] != ENCODING:
         raise MessageError(f"{len(data)} bytes that are not a std_msgs/msg/Float64.")
-    number: float = struct.unpack_from("<d" if data[1] else ">d", data, 4)[0]
+    (number,) = struct.unpack_from("<d", data, 4)
     if not _is_usable(number):
         raise MessageError(f"data is {number}, expected a finite number up to {LARGEST_NUMBER:g}.")
-    return number
+    return float(number)
 
 
 def _is_usable(*numbers: float) -> bool:

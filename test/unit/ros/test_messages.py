@@ -52,15 +52,6 @@ def same_bits(ours, theirs):
     assert np.asarray(ours, dtype=float).tobytes() == np.asarray(theirs, dtype=float).tobytes()
 
 
-def big_endian(message):
-    """Return a WrenchStamped from a big-endian machine."""
-    stamp, frame = message.header.stamp, message.header.frame_id.encode() + b"\0"
-    head = struct.pack(">iII", stamp.sec, stamp.nanosec, len(frame)) + frame
-    force = message.wrench.force
-    numbers = struct.pack(">6d", force.x, force.y, force.z, 0.0, 0.0, 0.0)
-    return bytes(4) + head.ljust(-(-len(head) // 8) * 8, b"\0") + numbers
-
-
 @given(stamps, vectors(3), st.text("abc_1é", max_size=20))
 def test_a_force_is_read_by_ros_and_by_us(stamp, force, frame):
     codec = WrenchCodec(frame)
@@ -70,7 +61,7 @@ def test_a_force_is_read_by_ros_and_by_us(stamp, force, frame):
     vector = message.wrench.force
     same_bits([vector.x, vector.y, vector.z], force)
     theirs = force_message(force, stamp, frame)
-    for received in (data, serialize_message(theirs), data + bytes(4), big_endian(theirs)):
+    for received in (data, serialize_message(theirs), data + bytes(4)):
         found, ours = codec.decode(received)
         assert found == stamp
         same_bits(ours, force)
@@ -309,10 +300,11 @@ def test_each_number_is_checked_before_it_is_sent(place):
         JointCodec(["a", "b"], ("position", "velocity")).encode(0, *blocks)
 
 
-@pytest.mark.parametrize("order", ["<", ">"])
-def test_a_number_is_read_in_either_order_of_bytes(order):
-    ours = bytes([0, order == "<", 0, 0]) + struct.pack(f"{order}d", 2.5)
-    assert read_number(ours) == read_number(serialize_message(Float64(data=2.5))) == 2.5
+def test_a_number_is_read_unless_it_is_of_another_encoding_or_not_finite():
+    data = serialize_message(Float64(data=2.5))
+    assert read_number(data) == 2.5
+    with pytest.raises(MessageError, match="12 bytes that are not a std_msgs/msg/Float64"):
+        read_number(bytes(4) + data[4:])
     for wrong in (math.nan, math.inf, -BEYOND):
         with pytest.raises(MessageError, match=f"data is {wrong}"):
             read_number(serialize_message(Float64(data=wrong)))
