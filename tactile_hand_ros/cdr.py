@@ -272,7 +272,7 @@ class ContentReader:
         Raises:
             MessageError: If there are too many bytes, or they are not a message of that type.
         """
-        if not self._has_same_layout(data):
+        if len(data) != self._size or any(data[at] != same for at, same in self._fixed):
             self._find_layout(data)
         layout = self._layout
         doubles = {
@@ -280,10 +280,6 @@ class ContentReader:
             for name, (at, count) in layout.doubles.items()
         }
         return Content(header_stamp(data), layout.texts, doubles)
-
-    def _has_same_layout(self, data: bytes) -> bool:
-        """Return whether a message has the strings and lengths of the previous one."""
-        return len(data) == self._size and all(data[at] == same for at, same in self._fixed)
 
     def _find_layout(self, data: bytes) -> None:
         if len(data) > LARGEST_MESSAGE:
@@ -313,14 +309,8 @@ def tables(type_name: str, messages: Sequence[bytes]) -> Iterator[Table]:
             except ValueError as error:
                 text = f"A message is not a valid {type_name}: {error}; record it again."
                 raise BagError(text) from None
-            same = _sharing(matrix, layout)
+            same = np.ones(len(matrix), dtype=np.bool_)
+            for start, end in layout.fixed:
+                same &= (matrix[:, start:end] == matrix[0, start:end]).all(axis=1)
             yield Table(rows[same], layout, matrix[same])
             rows, matrix = rows[~same], matrix[~same]
-
-
-def _sharing(matrix: NDArray[np.uint8], layout: Layout) -> NDArray[np.bool_]:
-    """Return which messages have the fixed bytes of the first one."""
-    same = np.ones(len(matrix), dtype=np.bool_)
-    for start, end in layout.fixed:
-        same &= (matrix[:, start:end] == matrix[0, start:end]).all(axis=1)
-    return same

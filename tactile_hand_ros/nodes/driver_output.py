@@ -53,11 +53,7 @@ class DriverOutputNode(TactileNode[DriverOutputConfig]):
     """
 
     def __init__(self, **kwargs: Any) -> None:
-        """Create the topics.
-
-        Raises:
-            TactileHandError: If a parameter or the `driver` of the hand's file is rejected.
-        """
+        """Create the topics of the `driver` in the hand's file."""
         super().__init__("driver_output", DriverOutputConfig, **kwargs)
         c, hand = self.config, Hand.load(self.config.hand)
         driver = load_hand_config(c.hand).driver

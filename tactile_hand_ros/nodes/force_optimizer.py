@@ -100,11 +100,7 @@ class ForceOptimizerNode(TactileNode[ForceOptimizerConfig]):
     """
 
     def __init__(self, *, composed: bool = False, **kwargs: Any) -> None:
-        """Set up the problem; with `composed` a chain calls `step` and no ticks are received.
-
-        Raises:
-            TactileHandError: If a parameter is rejected or there is no such hand.
-        """
+        """Set up the problem; with `composed` a chain calls `step` and no ticks are received."""
         super().__init__("force_optimizer", ForceOptimizerConfig, **kwargs)
         fingers = load_hand_config(self.config.hand).finger_names
         self._fingers = len(fingers)

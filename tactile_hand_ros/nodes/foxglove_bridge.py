@@ -77,7 +77,6 @@ class FoxgloveBridgeNode(TactileNode[FoxgloveBridgeConfig]):
         """Start the server.
 
         Raises:
-            ConfigurationError: If a parameter is rejected or the port is in use.
             MissingLibraryError: If foxglove-sdk is not installed.
         """
         super().__init__("foxglove_bridge", FoxgloveBridgeConfig, **kwargs)

@@ -142,9 +142,6 @@ class ManipulationControllerNode(TactileNode[ControllerConfig]):
         With `composed`, a chain in this process calls `step` and sets `joints_held`, so that
         neither ticks nor `joint_hold` are received. With `time_waits`, time waits for each answer,
         so every answer must be sent; without a chain, a repeated tick shows this.
-
-        Raises:
-            TactileHandError: If a parameter is rejected or the hand cannot be built.
         """
         super().__init__("manipulation_controller", ControllerConfig, **kwargs)
         take_law(self.config.law)  # named by a parameter, so by the user

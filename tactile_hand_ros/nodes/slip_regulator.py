@@ -167,9 +167,6 @@ class SlipRegulatorNode(TactileNode[SlipRegulatorConfig]):
 
         With `composed`, a chain in this process calls `step` and `reject_touch` and sets
         `joints_held`, so the node does not subscribe to these inputs.
-
-        Raises:
-            TactileHandError: If a parameter is rejected or there is no such hand.
         """
         super().__init__("slip_regulator", SlipRegulatorConfig, **kwargs)
         fingers = self._fingers = load_hand_config(self.config.hand).finger_names

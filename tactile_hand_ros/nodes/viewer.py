@@ -79,11 +79,7 @@ class ViewerNode(TactileNode[ViewerConfig]):
     """
 
     def __init__(self, **kwargs: Any) -> None:
-        """Subscribe and create the publishers.
-
-        Raises:
-            TactileHandError: If a parameter is rejected or there is no such hand.
-        """
+        """Subscribe and create the publishers."""
         super().__init__("viewer", ViewerConfig, **kwargs)
         self._fingers = load_hand_config(self.config.hand).finger_names
         self._corners = self.config.object.solid().triangles().reshape(-1, 3)

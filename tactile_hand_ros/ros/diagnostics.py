@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import time
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -53,8 +54,7 @@ class Diagnostics:
         self._errors: dict[str, _Notes] = {}
         self._values: dict[str, Any] = {}
         self._faults: dict[str, tuple[str, bytes]] = {}
-        self._latencies = np.zeros(_WINDOW)
-        self._latency_count = 0
+        self._latencies: deque[float] = deque(maxlen=_WINDOW)
 
     def tick(self) -> None:
         """Count one tick."""
@@ -62,8 +62,7 @@ class Diagnostics:
 
     def latency(self, seconds: float) -> None:
         """Record the duration of one tick [s]."""
-        self._latencies[self._latency_count % _WINDOW] = seconds
-        self._latency_count += 1
+        self._latencies.append(seconds)
 
     def value(self, key: str, value: Any) -> None:
         """Set a reported value, such as a margin or a residual."""
@@ -139,10 +138,9 @@ class Diagnostics:
         return level, f"{text}; {silence}" if self.expects else text
 
     def _percentiles(self) -> dict[str, str]:
-        count = min(self._latency_count, _WINDOW)
-        if not count:
+        if not self._latencies:
             return {}
-        marks = np.percentile(self._latencies[:count], (50, 99, 100), method="nearest")
+        marks = np.percentile(self._latencies, (50, 99, 100), method="nearest")
         named = zip(("p50", "p99", "max"), marks, strict=True)
         return {f"latency_{name}_us": f"{1e6 * mark:.0f}" for name, mark in named}
 

@@ -116,10 +116,7 @@ class _WaitSet:
 
 
 class WaitSetExecutor(Executor):
-    """A single-threaded executor that keeps its wait sets.
-
-    Not for use from several threads, except `wake` and `shutdown`.
-    """
+    """A single-threaded executor that keeps its wait sets; other threads may wake or end it."""
 
     # The base class reads it at shutdown, even if a signal interrupted its construction.
     _sigint_gc = None

@@ -110,6 +110,9 @@ class TactileNode(Node, Generic[C]):
     Publishes `/diagnostics` (diagnostic_msgs/DiagnosticArray) once a second and whenever the number
     of matched peers changes. The ends of a topic may exist before they are matched.
 
+    The constructor of each node raises TactileHandError if a parameter is unknown or rejected, or
+    the hand cannot be built.
+
     Attributes:
         diagnostics: Counters and values to report.
         tick_publishers: Publishers of the node's tick messages.
@@ -119,11 +122,7 @@ class TactileNode(Node, Generic[C]):
     fatal: tuple[type[Exception], ...] = ()
 
     def __init__(self, name: str, model: type[C], **kwargs: Any) -> None:
-        """Create the node and declare one parameter per field of the configuration class.
-
-        Raises:
-            ConfigurationError: If a given parameter is unknown or rejected.
-        """
+        """Create the node and declare one parameter per field of the configuration class."""
         self._is_making_safe = False
         super().__init__(name, **kwargs)
         try:

@@ -104,12 +104,8 @@ def _let_signals_shut_down() -> None:
     signal.signal(signal.SIGINT, _note_signal)
     signal.signal(signal.SIGTERM, _note_signal)
     if signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:  # ignored under nohup
-        signal.signal(signal.SIGHUP, _terminate)
-
-
-def _terminate(number: int, frame: FrameType | None) -> None:
-    """Stop as after SIGTERM, which rclpy handles, because the terminal was closed."""
-    os.kill(os.getpid(), signal.SIGTERM)
+        # A closed terminal stops the nodes as SIGTERM does, which rclpy handles.
+        signal.signal(signal.SIGHUP, lambda *_: os.kill(os.getpid(), signal.SIGTERM))
 
 
 def _ignore_signals() -> None:

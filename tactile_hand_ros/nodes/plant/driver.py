@@ -96,7 +96,7 @@ class PlantTopics:
 
 
 class PlantDriver:
-    """Drives a run of the plant.
+    """Drives a run of the plant, by commands or by a hand in this process.
 
     The first tick waits for its command, because without one the hand would open and drop the
     object. The tick is sent again after each short silence. In lockstep every tick waits like this.
@@ -104,11 +104,8 @@ class PlantDriver:
     In real time the last command acts until a newer one comes, or until the guard finds it too old.
     While there are two senders, the joints are held.
 
-    With a hand in the same process, its answer is the command of the tick. A missing answer counts
-    as silence of the controller.
-
-    Attributes:
-        hand: A hand in this process that answers the ticks; None if commands are received.
+    The answer of a `hand` in this process is the command of the tick. A missing one counts as
+    silence of the controller.
     """
 
     def __init__(self, node: TactileNode[PlantConfig], run: PlantRun) -> None:
@@ -283,7 +280,10 @@ class PlantDriver:
             if self._run.is_last:
                 if done:
                     self._publish()
-                self._finish()
+                self._is_finished = True
+                self._let_time_pass(False)
+                self._modes.note(self.mode)
+                self._announce(f"finished at {1e-9 * self._run.stamp:g} s", OK)
                 return
             try:
                 self._run.advance()
@@ -328,12 +328,6 @@ class PlantDriver:
         while self._torque is not None and time.monotonic() < end:
             self._take_answer()
         return self._torque is not None
-
-    def _finish(self) -> None:
-        self._is_finished = True
-        self._let_time_pass(False)
-        self._modes.note(self.mode)
-        self._announce(f"finished at {1e-9 * self._run.stamp:g} s", OK)
 
     def _announce(self, text: str, level: bytes) -> None:
         """Publish a state immediately."""
@@ -390,4 +384,6 @@ class PlantDriver:
             put(f"holds: {reason}", count)
         put("too_old_commands", self._too_old)
         put("conflicting_commands", self._senders.conflicts)
-        self._pace.report(put)
+        put("late_commands", self._pace.late)
+        put("missed_ticks", self._pace.skipped)
+        put("lost_s", 1e-9 * self._pace.lost_ns)

@@ -63,9 +63,6 @@ class PlantNode(TactileNode[PlantConfig]):
 
         With `composed`, a hand in this process is passed to `begin` and answers the ticks, and no
         commands are received.
-
-        Raises:
-            TactileHandError: If a parameter is rejected or hand or object cannot be built.
         """
         super().__init__("plant", PlantConfig, **kwargs)
         self._run = PlantRun(self.config)
@@ -103,11 +100,7 @@ class PlantNode(TactileNode[PlantConfig]):
         self._driver.report(put)
         put("touching", int(state.contacts.touching.sum()))
         put("required_friction", float(np.max(required_friction(state.forces), initial=0.0)))
-        self._report_contact_laws()
-
-    def _report_contact_laws(self) -> None:
-        """Report the residuals of the contact laws, and warn of steps that violate them."""
-        put, plant = self.diagnostics.value, self._run.plant
+        plant = self._run.plant
         put("contact_residual", plant.contact_residual)
         put("relaxed_steps", plant.relaxed_steps)
         put("unsolved_steps", plant.unsolved_steps)

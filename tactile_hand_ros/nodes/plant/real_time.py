@@ -60,12 +60,6 @@ class Pace:
         self.late += self._awaits_command and self._clock() > self._due_at
         self._awaits_command = False
 
-    def report(self, put: Callable[[str, object], None]) -> None:
-        """Report the counters by key."""
-        put("late_commands", self.late)
-        put("missed_ticks", self.skipped)
-        put("lost_s", 1e-9 * self.lost_ns)
-
 
 class Brake:
     """Permits ticks no faster than a speed; what a slow tick has lost, the next ones make up.

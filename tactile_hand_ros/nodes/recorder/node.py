@@ -52,7 +52,6 @@ class RecorderNode(TactileNode[RecorderConfig]):
         subscription, and that hand continues if the bag cannot be written.
 
         Raises:
-            ConfigurationError: If a parameter is rejected.
             BagError: If the bag cannot be created.
         """
         super().__init__("recorder", RecorderConfig, **kwargs)
