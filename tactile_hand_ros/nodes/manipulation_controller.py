@@ -334,13 +334,16 @@ class ManipulationControllerNode(TactileNode[ControllerConfig]):
                 self._desired.after(stamp)
                 self._report.note(command, theta, contacts)
         except TickFailedError as failure:
-            joints = Joints(theta, rates, applied)
-            if self._answer is None:  # none was sent before the failure: hold the hand
-                self.guarded("safe state", self.on_blind_tick)(stamp, joints, str(failure))
-            if self._answer is None:
-                raise
-            command = self._answer[1]
+            command = self._safe_answer(stamp, Joints(theta, rates, applied), failure)
         return command
+
+    def _safe_answer(self, stamp: int, joints: Joints, failure: TickFailedError) -> Command:
+        """Return the answer sent before a failure; if there is none, hold the hand."""
+        if self._answer is None:
+            self.guarded("safe state", self.on_blind_tick)(stamp, joints, str(failure))
+        if self._answer is None:
+            raise failure
+        return self._answer[1]
 
     def _publish_rejection(self) -> None:
         """Publish the fingers whose touch contradicts the joints, if that has changed."""

@@ -18,8 +18,8 @@ Private parts of rclpy (Jazzy) in use:
 A node with work to do between messages has a method `work`, which returns whether there is more to
 do. The executor calls it repeatedly and does not block meanwhile.
 
-A middleware error (an unreadable request, an unsendable reply) is passed to the node's ``survive``
-if it has one, and does not stop the loop.
+A middleware error (an unreadable request, an unsendable reply) is passed to ``survive`` of the
+nodes that have one, and does not stop the loop.
 """
 
 from __future__ import annotations
@@ -218,7 +218,7 @@ class WaitSetExecutor(Executor):
             self._serve(service)
         for client in rare.ready("client"):
             take = partial(client.handle.take_response, client.srv_type.Response)
-            for header, response in self._taken(client, client.srv_name, take):
+            for header, response in self._taken(client.srv_name, take):
                 with suppress(KeyError):  # the request was cancelled
                     number = header.request_id.sequence_number
                     client.get_pending_request(number).set_result(response)
@@ -232,31 +232,27 @@ class WaitSetExecutor(Executor):
         kind, raw = subscription.msg_type, subscription.raw
         wanted = 1 if subscription._callback_type is Subscription.CallbackType.MessageOnly else 2
         take = partial(subscription.handle.take_message, kind, raw)
-        for item in self._taken(subscription, subscription.topic_name, take):
+        for item in self._taken(subscription.topic_name, take):
             subscription.callback(*item[:wanted])
 
     def _serve(self, service: Service) -> None:
         kind = service.srv_type
         take = partial(service.handle.service_take_request, kind.Request)
-        for request, header in self._taken(service, service.srv_name, take):
+        for request, header in self._taken(service.srv_name, take):
             try:
                 service.send_response(service.callback(request, kind.Response()), header)
             except Exception as error:
                 self._survive("services", error)
 
-    def _taken(self, entity: Any, name: str, take: Callable[[], Any]) -> Iterator[Any]:
-        """Yield what waits at an entity; report bytes that cannot be read to its node."""
+    def _taken(self, name: str, take: Callable[[], Any]) -> Iterator[Any]:
+        """Yield what waits at an entity; report bytes that cannot be read."""
         for _ in range(_BURST):
             # A subscription that a callback destroyed must not see another message.
             try:
                 item = None if self._stale else take()
             except Exception as error:
-                nodes = self.get_nodes()
-                ends = ((n, (*n.subscriptions, *n.services, *n.clients)) for n in nodes)
                 text = f"its bytes cannot be read ({type(error).__name__})."
-                self._survive(
-                    name, MessageError(text), [node for node, has in ends if entity in has]
-                )
+                self._survive(name, MessageError(text))
                 continue
             if item is None or item[1] is None:
                 return
@@ -265,9 +261,9 @@ class WaitSetExecutor(Executor):
     def _is_running(self) -> bool:
         return bool(self._context.ok()) and not self._is_shutdown
 
-    def _survive(self, source: str, error: Exception, nodes: Sequence[Node] = ()) -> None:
-        """Pass an error to the nodes that it concerns, or to all nodes if that is unknown."""
-        survivors = [node for node in nodes or self.get_nodes() if hasattr(node, "survive")]
+    def _survive(self, source: str, error: Exception) -> None:
+        """Pass an error to all nodes that survive errors."""
+        survivors = [node for node in self.get_nodes() if hasattr(node, "survive")]
         if not survivors:
             raise error
         for node in survivors:
