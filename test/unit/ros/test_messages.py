@@ -169,16 +169,6 @@ def test_a_quaternion_of_nearly_unit_length_is_a_rotation_and_others_are_refused
     np.testing.assert_allclose(found.rotations[1], rotation, atol=1e-15)
 
 
-def test_joints_of_senders_with_other_orders_are_sorted():
-    codec = JointCodec(["a", "b", "c"], ("position", "velocity"))
-    for order in ([2, 0, 1], [2, 0, 1], [1, 2, 0], [0, 1, 2]):
-        values = np.array([1.0, 2.0, 3.0])[order]
-        joints = ["abc"[i] for i in order]
-        message = joint_message(joints, 1, position=values, velocity=values, effort=[np.nan] * 3)
-        _, (position, velocity) = codec.decode(serialize_message(message))
-        assert position.tolist() == velocity.tolist() == [1.0, 2.0, 3.0]
-
-
 @pytest.mark.parametrize(
     ("message", "words"),
     [

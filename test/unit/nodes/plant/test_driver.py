@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import WrenchStamped
+from rcl_interfaces.msg import Log
 from rclpy.parameter import Parameter
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool
@@ -198,11 +199,14 @@ def test_a_tick_without_an_answer_is_sent_again_as_it_was_and_only_after_a_time(
 
 def test_a_long_silence_holds_the_joints_while_time_continues(make):
     rig = make(command_timeout=2.0, resend_after=0.5)
+    rig.here.receive(Log, "/rosout")
     rig.answer(0)
     rig.clock.now += 2.0001
     reason = "no usable joint_command for 2 s, expected one for each tick"
     resent = rig.until("holding", **{f"holds: {reason}": 1})["resent_ticks"]
     rig.says(ERROR, f"{reason}; the joints are held")
+    lines = rig.here.messages("/rosout", 1)
+    assert f"running -> holding: {reason}" in [line.msg for line in lines]
     rig.clock.now += 9.0
     rig.held_ticks(100)
     assert facts(rig.node)["resent_ticks"] == resent  # ticks continue without commands

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A topic is subscribed with its publishers' QoS, and missing messages are counted."""
+"""A topic is chosen by name, subscribed with its publishers' QoS, and its losses are counted."""
 
 import sys
 from collections.abc import Iterator
@@ -14,8 +14,10 @@ from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPo
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 from std_msgs.msg import Float64, Int64
 
-from tactile_hand_ros.errors import BagError
+from tactile_hand_ros.config.model import from_flat
+from tactile_hand_ros.errors import BagError, ConfigurationError
 from tactile_hand_ros.nodes.recorder import topic as topic_module
+from tactile_hand_ros.nodes.recorder.config import RecorderConfig, TopicSelection
 from tactile_hand_ros.nodes.recorder.topic import LossCounter, RawTopic, adapted_qos
 from tactile_hand_ros.ros.endpoints import message_class
 from tactile_hand_ros.ros.processes import wait_until
@@ -227,3 +229,31 @@ def test_what_is_no_type_name_is_refused(name):
     with pytest.raises(BagError, match="is not a type name, expected package/msg/Type") as caught:
         message_class(name)
     assert len(str(caught.value)) < 250
+
+
+@pytest.mark.parametrize(
+    ("topic", "chosen"),
+    [
+        ("/left/joint_states", True),
+        ("/right/joint_states", False),
+        ("/left/joint_states/raw", True),
+        ("/left/debug", False),
+        ("/left/_hidden", False),
+        ("/prefix/left/joint_states", False),
+    ],
+)
+def test_patterns_match_the_whole_name(topic, chosen):
+    assert (topic in TopicSelection(["/left/.*"], [".*/debug"])) is chosen
+
+
+def test_everything_is_the_default():
+    config = RecorderConfig(output="bag")
+    selection = TopicSelection(config.topics, config.exclude)
+    names = ["/clock", "/rosout", "/diagnostics", "/hand/tactile/contacts", "/parameter_events"]
+    assert [name in selection for name in names] == 5 * [True]
+
+
+@pytest.mark.parametrize("key", ["topics", "exclude"])
+def test_broken_pattern_is_refused_with_its_place(key):
+    with pytest.raises(ConfigurationError, match=rf"{key}.*'\(' is not a valid regular expression"):
+        from_flat(RecorderConfig, {"output": "bag", key: ["("]})
