@@ -239,13 +239,7 @@ _NONE = np.empty(0)
 
 @dataclass(frozen=True)
 class Content:
-    """Content of one message.
-
-    Attributes:
-        stamp: Header timestamp [ns].
-        texts: All strings in order; the first is the header's frame_id.
-        doubles: Each group of doubles by name, shape (count,).
-    """
+    """Content of one message: header timestamp [ns], strings as in `Layout`, groups of doubles."""
 
     stamp: int
     texts: list[str]

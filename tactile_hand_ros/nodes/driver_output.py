@@ -69,9 +69,8 @@ class DriverOutputNode(TactileNode[DriverOutputConfig]):
         self.subscribe(JointState, names.JOINT_STATES, self._on_joints, sensor=True, raw=True)
         self.subscribe(JointState, names.JOINT_COMMAND, self._on_command, raw=True)
         silence = f"no usable {names.JOINT_COMMAND} for {c.age_limit} ticks"
-        self._silence = self.create_timer(
-            c.age_limit / c.rate, partial(self.to_safe_state, silence)
-        )
+        hold = partial(self.to_safe_state, silence)
+        self._silence = self.create_timer(c.age_limit / c.rate, hold)
 
     def _on_joints(self, data: bytes) -> None:
         self._newest, (self._theta,) = self._angles.decode(data)

@@ -113,11 +113,8 @@ class ForceOptimizerNode(TactileNode[ForceOptimizerConfig]):
             return
         declared = [streams.contacts(self._fingers)]
         if self.config.cones:
-            declared += [
-                streams.loads(fingers),
-                streams.grip_margin(fingers),
-                streams.grasp_force(),
-            ]
+            declared += [streams.loads(fingers), streams.grip_margin(fingers)]
+            declared.append(streams.grasp_force())
         self._inputs = TickInputs(self, declared, self)
 
     def _rehearse(self) -> None:

@@ -88,12 +88,11 @@ class FoxgloveBridgeNode(TactileNode[FoxgloveBridgeConfig]):
         pose = self.create_publisher(PoseStamped, names.DESIRED_POSE, qos.user_qos())
         force = self.create_publisher(Float64, names.USER_GRASP_FORCE, qos.user_qos())
         self._commands = {each.topic_name: each for each in (pose, force)}
-        port = self.config.port
         try:
             self._server = self._sdk.start_server(
                 name="tactile_hand_ros",
                 host=ADDRESS,
-                port=port,
+                port=self.config.port,
                 capabilities=[self._sdk.Capability.ClientPublish],
                 supported_encodings=["cdr"],
                 server_listener=self._listener,
@@ -101,7 +100,7 @@ class FoxgloveBridgeNode(TactileNode[FoxgloveBridgeConfig]):
             )
         except (RuntimeError, OSError) as error:
             raise ConfigurationError(
-                f"port: {port} cannot be used ({error}); choose another, or 0 for any free one."
+                f"port: {self.config.port} cannot be used ({error}); choose another, or 0."
             ) from None
         print(f"foxglove: ws://{ADDRESS}:{self._server.port}", flush=True)
         self.create_timer(_DISCOVERY_PERIOD, self._discover)

@@ -329,7 +329,11 @@ class ManipulationControllerNode(TactileNode[ControllerConfig]):
                 command = self._controller.step(
                     stamp, theta, rates, contacts, optimal_forces, grasp_force, forces, applied
                 )
-                self._publish_rejection()
+                rejected = self.touch_rejected
+                if (rejected != self._rejected).any():
+                    self._rejected = rejected
+                    text = names.listed(self.hand.finger_names, rejected)
+                    self._rejection.publish(String(data=text))
                 command = self._send(stamp, command)
                 self._desired.after(stamp)
                 self._report.note(command, theta, contacts)
@@ -344,13 +348,6 @@ class ManipulationControllerNode(TactileNode[ControllerConfig]):
         if self._answer is None:
             raise failure
         return self._answer[1]
-
-    def _publish_rejection(self) -> None:
-        """Publish the fingers whose touch contradicts the joints, if that has changed."""
-        rejected = self.touch_rejected
-        if (rejected != self._rejected).any():
-            self._rejected = rejected
-            self._rejection.publish(String(data=names.listed(self.hand.finger_names, rejected)))
 
     def on_blind_tick(self, stamp: int, joints: Joints, reason: str) -> None:
         """Hold the hand at a tick with missing inputs."""

@@ -47,8 +47,7 @@ class Diagnostics:
         """Create the counters of a node; `clock` [s] serves only rates and warning durations."""
         self.name, self.expects = name, ""
         self._clock = clock
-        self._ticks = 0
-        self._reported_ticks = 0
+        self._ticks = self._reported_ticks = 0
         self._reported_at = clock()
         self._rejections: dict[str, _Notes] = {}
         self._errors: dict[str, _Notes] = {}
@@ -92,8 +91,7 @@ class Diagnostics:
         return self._note(self._errors, source, text)
 
     def _note(self, entries: dict[str, _Notes], key: str, error: Exception | str) -> bool:
-        entry = entries.setdefault(key, _Notes())
-        now = self._clock()
+        entry, now = entries.setdefault(key, _Notes()), self._clock()
         entry.count, entry.reason, entry.last = entry.count + 1, shortened(error), now
         is_due = now - entry.logged >= WARN_SECONDS
         if is_due:

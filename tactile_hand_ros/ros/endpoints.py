@@ -70,15 +70,13 @@ class DirectTakeGroup(CallbackGroup):
         return False
 
 
-def subscribe_directly(
-    node: Node, kind: Any, topic: str, profile: QoSProfile, **options: Any
-) -> Subscription:
+def subscribe_directly(node: Node, kind: Any, topic: str, profile: QoSProfile) -> Subscription:
     """Subscribe to serialized messages that are read only with `taken` or `take_latest`."""
-    group = DirectTakeGroup()
     # No executor would take an event, so each event would wake it again and again.
-    options.setdefault("event_callbacks", SubscriptionEventCallbacks(use_default_callbacks=False))
+    none = SubscriptionEventCallbacks(use_default_callbacks=False)
+    group = DirectTakeGroup()
     return node.create_subscription(
-        kind, topic, lambda _: None, profile, callback_group=group, raw=True, **options
+        kind, topic, lambda _: None, profile, callback_group=group, event_callbacks=none, raw=True
     )
 
 

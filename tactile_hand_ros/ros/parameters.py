@@ -72,13 +72,10 @@ class ConfigParameters(Generic[C]):
         Raises:
             ConfigurationError: If a given value is rejected or no field has the given name.
         """
-        self._node = node
-        self._model = model
+        self._node, self._source = node, node.get_fully_qualified_name()
         self._fields = leaves(model)
-        self._on_change = on_change
-        self._further_check = check
-        given = self._given()
-        self.config: C = from_flat(model, given, source=node.get_fully_qualified_name())
+        self._on_change, self._further_check = on_change, check
+        self.config: C = from_flat(model, self._given(), source=self._source)
         self._declare()
         node.add_pre_set_parameters_callback(self._with_declared_types)
         node.add_on_set_parameters_callback(self._check)
@@ -88,22 +85,20 @@ class ConfigParameters(Generic[C]):
         """Return the values set by files and command line, by field name."""
         # rclpy has no public access to overrides before they are declared.
         overrides: Mapping[str, Parameter] = self._node._parameter_overrides
-        source = self._node.get_fully_qualified_name()
         known = {*self._fields, *_OF_ROS}
         self._refuse([n for n in overrides if n not in known and not n.startswith(_QOS_PREFIX)])
         return {
-            name: from_ros(field, overrides[name].value, f"{source}: {name}")
+            name: from_ros(field, overrides[name].value, f"{self._source}: {name}")
             for name, field in self._fields.items()
             if name in overrides
         }
 
     def _refuse(self, unknown: list[str]) -> None:
         """Reject unknown parameters; only warn about those of a file, which other nodes may use."""
-        source = self._node.get_fully_qualified_name()
         for name in unknown:
             hint = did_you_mean(name, list(self._fields))
             if any(word.startswith(f"{name}:=") for word in sys.argv):
-                raise ConfigurationError(f"{source}: unknown parameter '{name}'{hint}")
+                raise ConfigurationError(f"{self._source}: unknown parameter '{name}'{hint}")
             self._node.get_logger().warning(f"ignored the unknown parameter '{name}'{hint}")
 
     def _declare(self) -> None:
@@ -115,7 +110,7 @@ class ConfigParameters(Generic[C]):
             [to_parameter(name, field, values[name]) for name, field in self._fields.items()]
         )
         if not result.successful:
-            raise ConfigurationError(f"{self._node.get_fully_qualified_name()}: {result.reason}.")
+            raise ConfigurationError(f"{self._source}: {result.reason}.")
         for name, field in self._fields.items():
             if not is_live(field):
                 self._node.set_descriptor(name, descriptor(field, read_only=True))

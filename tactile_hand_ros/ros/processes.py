@@ -14,7 +14,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from ament_index_python.packages import PackageNotFoundError, get_package_prefix
+from ament_index_python.packages import get_package_prefix
 
 from tactile_hand_ros.errors import TactileHandError
 
@@ -33,7 +33,7 @@ def executable_directory() -> Path:
     """
     try:
         prefix = get_package_prefix(PACKAGE)
-    except (PackageNotFoundError, LookupError, OSError) as error:  # OSError: there is no index
+    except (LookupError, OSError) as error:  # OSError: there is no index
         searched = os.environ.get("AMENT_PREFIX_PATH", "")
         raise ExecutableError(
             f"The ament index at AMENT_PREFIX_PATH='{searched}' has no {PACKAGE}:"

@@ -142,7 +142,11 @@ def test_two_hands_in_one_domain_do_not_disturb_each_other(tmp_path):
             assert (apart.min() > 1e-3) == (graph is one)
             assert graph.node.count_publishers(graph.full("clock")) == 1
         assert one.node.count_publishers("/clock") == 0
-        objects = [m.pose.position for m in shown[-1].markers if m.ns == "object"]
-        np.testing.assert_allclose([[p.x, p.y, p.z] for p in objects], [one.position()])
+
+        def is_shown() -> bool:
+            objects = [m.pose.position for m in shown[-1].markers if m.ns == "object"]
+            return [[p.x, p.y, p.z] for p in objects] == [list(one.position())]
+
+        one.wait(is_shown, "the markers of the left hand")
         viewer.send(signal.SIGINT)
         assert viewer.wait() == 0, viewer.stderr

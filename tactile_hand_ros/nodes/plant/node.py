@@ -51,8 +51,7 @@ class PlantNode(TactileNode[PlantConfig]):
     about the object's center of mass, N and N m; ends 0.2 s after its stamp).
 
     Services: `~/run` (std_srvs/SetBool) continues and pauses, `~/step` (std_srvs/Trigger) advances
-    a paused run by one tick, `~/reset` (std_srvs/Trigger) goes
-    back to the start at stamp 0.
+    a paused run by one tick, `~/reset` (std_srvs/Trigger) goes back to the start at stamp 0.
 
     Parameters: the fields of `PlantConfig`; `object.friction`, `object.mass`, `palm_turn` and
     `speed` are live.

@@ -17,8 +17,8 @@ class Pace:
     if a later tick is due at the same call.
 
     Attributes:
-        late: Number of ticks whose command was late or never came.
-        skipped: Number of ticks that no node received, because a later one was due too.
+        late: Number of late ticks.
+        skipped: Number of skipped ticks.
         lost_ns: Wall time dropped because the machine was too slow [ns].
     """
 
