@@ -13,23 +13,18 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
-from geometry_msgs.msg import PoseArray, PoseStamped, WrenchStamped
-from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile, QoSReliabilityPolicy
-from rclpy.serialization import deserialize_message
 from std_msgs.msg import String
 from support.messages import contacts_message, force_message, pose_message
+from support.nodes import Process
 from visualization_msgs.msg import Marker, MarkerArray
 
-from bench.processes import isolated_domain
 from tactile_hand_ros import names
 from tactile_hand_ros.config.paths import config_directory
 from tactile_hand_ros.nodes import viewer
 from tactile_hand_ros.nodes.viewer import ViewerNode
-from tactile_hand_ros.ros.endpoints import message_class, subscribe_directly, take_latest
-from tactile_hand_ros.ros.middleware import ros_context
-from tactile_hand_ros.ros.processes import wait_until
+from tactile_hand_ros.ros.endpoints import message_class
 
 ROOT = Path(__file__).resolve().parents[3]
 VIEWS = config_directory() / "views"
@@ -45,62 +40,45 @@ STRAIGHT = [0.0, 0.0, 0.0, 1.0]
 FINGERS = ("finger_1", "finger_2", "finger_3")
 TOUCH = np.array([[0.1, 0.0, 0.4], [0.0, 0.2, 0.4], [np.nan] * 3])
 TURNS = np.array([STRAIGHT, STRAIGHT, [np.nan] * 4])
-KINDS = {
-    "tactile/contacts": PoseArray,
-    "accepted/desired_pose": PoseStamped,
-    "ground_truth/object_pose": PoseStamped,
-    **{f"tactile/{finger}/wrench": WrenchStamped for finger in FINGERS},
-}
 
 
 class Stage:
     """A viewer, its input and its markers."""
 
-    def __init__(self, context: Any) -> None:
+    def __init__(self, here: Process) -> None:
         one_face = [Parameter("object.friction", value=0.5)]
-        self.viewer = ViewerNode(context=context, namespace="/left", parameter_overrides=one_face)
-        self.node = Node("hand", context=context, namespace="/left", start_parameter_services=False)
-        self._publishers = {
-            topic: self.node.create_publisher(kind, topic, QoSProfile(depth=10))
-            for topic, kind in KINDS.items()
-        }
-        self._shown: Any = None
-        wait_until(lambda: all(p.get_subscription_count() for p in self._publishers.values()))
+        self.viewer = ViewerNode(
+            context=here.context, namespace="/left", parameter_overrides=one_face
+        )
+        self.here, self._pictures = here, 0
+        here.receive(MarkerArray, "/left/markers")
+        here.wait(lambda: self.viewer.peers()["publications /left/markers"] == 1)
 
     def send(self, topic: str, message: Any) -> None:
-        self._publishers[topic].publish(message)
-        assert self._publishers[topic].wait_for_all_acked()
+        self.here.send(f"/left/{topic}", message)
 
     def force(self, finger: int, force: list[float]) -> None:
         message = force_message(force, 5, f"{FINGERS[finger]}_contact")
         self.send(f"tactile/{FINGERS[finger]}/wrench", message)
 
-    def watch(self) -> None:
-        profile = QoSProfile(depth=1)
-        self._shown = subscribe_directly(self.node, MarkerArray, "markers", profile)
-        wait_until(lambda: self.viewer._markers.get_subscription_count() == 1)
-
     def show(self) -> dict[str, list[Marker]]:
         self.viewer.show()
-        data = wait_until(lambda: take_latest(self._shown))
+        self._pictures += 1
         found: dict[str, list[Marker]] = {}
-        for marker in deserialize_message(data, MarkerArray).markers:
+        for marker in self.here.messages("/left/markers", self._pictures)[-1].markers:
             found.setdefault(marker.ns, []).append(marker)
         return found
 
 
 @pytest.fixture
-def stage() -> Iterator[Stage]:
-    with isolated_domain() as domain, ros_context(domain=domain) as context:
-        made = Stage(context)
-        yield made
-        made.viewer.destroy_node()
-        made.node.destroy_node()
+def stage(here: Process) -> Iterator[Stage]:
+    made = Stage(here)
+    yield made
+    made.viewer.destroy_node()
 
 
 def test_a_picture_holds_the_newest_of_everything(stage: Stage) -> None:
     """The arrow of the strongest force is 12 cm long, and none is drawn without a force."""
-    stage.watch()
     assert set(stage.show()) == {""}
     for x in (1.0, 2.0):
         stage.send("ground_truth/object_pose", pose_message([x, 0.0, 0.0], STRAIGHT, 5))
@@ -124,7 +102,6 @@ def test_a_picture_holds_the_newest_of_everything(stage: Stage) -> None:
 
 
 def test_what_is_no_measurement_is_not_shown(stage: Stage) -> None:
-    stage.watch()
     stage.send("tactile/contacts", contacts_message(TOUCH[:2], TURNS[:2], 5))  # of two fingers
     for turn in (STRAIGHT, [0.0] * 4):  # the second is no rotation
         stage.send("ground_truth/object_pose", pose_message([0.0] * 3, turn, 5))
@@ -138,18 +115,10 @@ def test_what_is_no_measurement_is_not_shown(stage: Stage) -> None:
 
 def test_a_best_effort_publisher_is_shown_and_wakes_nobody(stage: Stage) -> None:
     """An untaken QoS event would keep the executor awake, even after the publisher has left."""
-    stage.watch()
     profile = QoSProfile(depth=10, reliability=QoSReliabilityPolicy.BEST_EFFORT)
-    driver = stage.node.create_publisher(PoseArray, "tactile/contacts", profile)
-    wait_until(lambda: driver.get_subscription_count() == 1)
-
-    def is_shown() -> bool:
-        driver.publish(contacts_message(TOUCH, TURNS, 5))
-        return "contacts" in stage.show()
-
-    wait_until(is_shown)
-    taken = list(stage.viewer.subscriptions)
-    assert len(taken) == len(KINDS) and not any(each.event_handlers for each in taken)
+    stage.here.send("/left/tactile/contacts", contacts_message(TOUCH, TURNS, 5), profile)
+    stage.here.wait(lambda: "contacts" in stage.show(), "the message")
+    assert not any(each.event_handlers for each in stage.viewer.subscriptions)
 
 
 def test_with_tf2_contacts_and_object_are_transforms(
@@ -163,10 +132,10 @@ def test_with_tf2_contacts_and_object_are_transforms(
     monkeypatch.setattr(viewer, "TFMessage", SimpleNamespace)
     stage.viewer._tf = SimpleNamespace(publish=sent.append)
     stage.send("ground_truth/object_pose", pose_message([1.0, 0.0, 0.0], STRAIGHT, 5))
-    stage.viewer.show()
+    stage.show()
     assert sent == []  # no contacts, no timestamp
     stage.send("tactile/contacts", contacts_message(TOUCH, TURNS, 1_500_000_000))
-    stage.viewer.show()
+    stage.show()
     (message,) = sent
     expected = {"finger_1_contact": TOUCH[0], "finger_2_contact": TOUCH[1], "object": [1, 0, 0]}
     assert [t.child_frame_id for t in message.transforms] == [f"left/{n}" for n in expected]

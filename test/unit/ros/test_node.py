@@ -13,7 +13,7 @@ from rcl_interfaces.msg import Log
 from rcl_interfaces.msg import Parameter as ParameterMessage
 from rcl_interfaces.srv import SetParameters, SetParametersAtomically
 from rclpy.parameter import Parameter
-from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from std_msgs.msg import Float64
 from std_srvs.srv import SetBool, Trigger
 from support.nodes import Process, counts, facts
@@ -239,3 +239,23 @@ def test_a_sensor_subscription_may_be_made_best_effort():
         here.wait(lambda: node.got == [1.0], "the message")
         assert qos.tick_qos().reliability == ReliabilityPolicy.RELIABLE
         here.close()
+
+
+@pytest.mark.parametrize(
+    ("make", "depth", "durability"),
+    [
+        (qos.tick_qos, 100, DurabilityPolicy.VOLATILE),
+        (qos.tick_publisher_qos, 3000, DurabilityPolicy.VOLATILE),
+        (qos.latched_qos, 1, DurabilityPolicy.TRANSIENT_LOCAL),
+        (qos.user_qos, 100, DurabilityPolicy.VOLATILE),
+    ],
+)
+def test_profiles_promise_what_the_documentation_says_and_are_new_each_time(
+    make, depth, durability
+):
+    profile = make()
+    assert profile.reliability == ReliabilityPolicy.RELIABLE
+    assert profile.history == HistoryPolicy.KEEP_LAST
+    assert (profile.depth, profile.durability) == (depth, durability)
+    profile.depth = 7  # rclpy writes into it, too
+    assert make().depth == depth
