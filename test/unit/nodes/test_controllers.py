@@ -267,6 +267,8 @@ def test_a_torque_beyond_the_effort_limits_is_cut_off_with_a_warning(here):
     assert (np.abs(command.torque) <= limits).all()
     assert command.do_not_send or level(node)[0] == WARN
     assert (np.abs(torque(sent)[1]) <= limits).all()
+    tick(node, 2 * TICK)
+    assert "fault torque" not in facts(node)
 
 
 def test_code_is_loaded_before_the_first_tick(here, monkeypatch):
