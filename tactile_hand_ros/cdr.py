@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Serialized messages (plain CDR), read and written without rclpy.
+"""Serialized messages (plain CDR, little-endian), read and written without rclpy.
 
 * `header_stamp`: the timestamp of any serialized message that starts with a header.
 * `tables`: all messages of a topic as arrays, for reading bags.
@@ -26,8 +26,10 @@ from tactile_hand_ros.errors import BagError, MessageError
 Array = NDArray[np.float64]
 Rows = NDArray[np.intp]
 
-_LITTLE_ENDIAN = b"\x00\x01\x00\x00"
-_ORIGIN = len(_LITTLE_ENDIAN)  # alignment counts from the end of the encapsulation
+ENCODING = b"\x00\x01"
+"""Start of plain little-endian CDR; two bytes of options follow, and the message."""
+_ENCAPSULATION = ENCODING + b"\x00\x00"
+_ORIGIN = len(_ENCAPSULATION)  # alignment counts from here
 _STAMP = struct.Struct("<iI")
 _AFTER_STAMP = _ORIGIN + _STAMP.size
 _LENGTH = struct.Struct("<I")
@@ -55,15 +57,14 @@ def header_stamp(data: bytes) -> int:
     Raises:
         MessageError: If there is none, or it is not a valid time.
     """
-    if len(data) < _AFTER_STAMP:
+    if len(data) < _AFTER_STAMP or data[:2] != ENCODING:
         raise MessageError(f"{len(data)} bytes, expected a message that starts with a stamp.")
-    seconds, nanoseconds = struct.unpack_from("<iI" if data[1] else ">iI", data, _ORIGIN)
-    return to_nanoseconds(seconds, nanoseconds)
+    return to_nanoseconds(*_STAMP.unpack_from(data, _ORIGIN))
 
 
 def clock_bytes(stamp_ns: int) -> bytes:
     """Return a rosgraph_msgs/Clock message."""
-    return _LITTLE_ENDIAN + _STAMP.pack(*divmod(stamp_ns, _SECOND))
+    return _ENCAPSULATION + _STAMP.pack(*divmod(stamp_ns, _SECOND))
 
 
 class CdrTemplate:
@@ -71,7 +72,7 @@ class CdrTemplate:
 
     def __init__(self) -> None:
         """Start with the encapsulation and the timestamp."""
-        self._buffer = bytearray(_LITTLE_ENDIAN + bytes(_STAMP.size))
+        self._buffer = bytearray(_ENCAPSULATION + bytes(_STAMP.size))
         self._blocks: list[tuple[int, int]] = []
 
     def _align(self, size: int) -> None:
@@ -113,13 +114,11 @@ class Layout:
     """Positions of the parts of a message.
 
     Attributes:
-        little: Whether numbers are little-endian.
         texts: All strings in order; the first is the header's frame_id.
         doubles: Offset and count of each group of doubles.
         fixed: Byte ranges that are equal in all messages of this layout.
     """
 
-    little: bool
     texts: list[str] = field(default_factory=list)
     doubles: dict[str, tuple[int, int]] = field(default_factory=dict)
     fixed: list[tuple[int, int]] = field(default_factory=list)
@@ -142,16 +141,14 @@ class Table:
     @property
     def stamps(self) -> NDArray[np.int64]:
         """Header timestamps [ns], shape (n,)."""
-        order = "<" if self.layout.little else ">"
-        seconds = self._column(_ORIGIN, 4, f"{order}i4").astype(np.int64)[:, 0]
-        rest = self._column(_ORIGIN + 4, 4, f"{order}u4").astype(np.int64)[:, 0]
+        seconds = self._column(_ORIGIN, 4, "<i4").astype(np.int64)[:, 0]
+        rest = self._column(_ORIGIN + 4, 4, "<u4").astype(np.int64)[:, 0]
         return np.asarray(seconds * _SECOND + rest, dtype=np.int64)
 
     def doubles(self, name: str) -> Array:
         """Return a group of doubles, shape (n, count)."""
         start, count = self.layout.doubles[name]
-        order = "<f8" if self.layout.little else ">f8"
-        return self._column(start, 8 * count, order).astype(np.float64)
+        return self._column(start, 8 * count, "<f8").astype(np.float64)
 
     def _column(self, start: int, size: int, kind: str) -> NDArray[np.generic]:
         part = np.ascontiguousarray(self.matrix[:, start : start + size])
@@ -163,7 +160,7 @@ class _Cursor:
 
     def __init__(self, data: bytes) -> None:
         self._data, self._at = data, _ORIGIN
-        self.layout = Layout(little=data[1:2] == b"\x01", fixed=[(0, 2)])
+        self.layout = Layout(fixed=[(0, 2)])
 
     def header(self) -> None:
         self._skip(8)
@@ -176,8 +173,7 @@ class _Cursor:
 
     def length(self) -> int:
         self._at += -(self._at - _ORIGIN) % 4
-        number: int = struct.unpack("<I" if self.layout.little else ">I", self._fix(4))[0]
-        return number
+        return int(_LENGTH.unpack(self._fix(4))[0])
 
     def doubles(self, name: str, count: int) -> None:
         if count:
@@ -228,8 +224,8 @@ def _layout(type_name: str, data: bytes) -> Layout:
     Raises:
         ValueError: If the bytes are not a message of that type.
     """
-    if len(data) < _ORIGIN or data[0] or data[1] > 1:
-        raise ValueError(f"encoding {data[:2].hex() or 'missing'}, expected plain CDR")
+    if len(data) < _ORIGIN or data[:2] != ENCODING:
+        raise ValueError(f"encoding {data[:2].hex() or 'missing'}, expected 0001")
     cursor = _Cursor(data)
     cursor.message(type_name)
     return cursor.layout
@@ -243,13 +239,7 @@ _NONE = np.empty(0)
 
 @dataclass(frozen=True)
 class Content:
-    """Content of one message.
-
-    Attributes:
-        stamp: Header timestamp [ns].
-        texts: All strings in order; the first is the header's frame_id.
-        doubles: Each group of doubles by name, shape (count,).
-    """
+    """Content of one message: header timestamp [ns], strings as in `Layout`, groups of doubles."""
 
     stamp: int
     texts: list[str]
@@ -266,7 +256,7 @@ class ContentReader:
     def __init__(self, type_name: str) -> None:
         """Create a reader for one of the types in `GROUPS`."""
         self._type = type_name
-        self._layout = Layout(little=True)
+        self._layout = Layout()
         self._fixed: list[tuple[slice, bytes]] = []
         self._size = -1
 
@@ -276,19 +266,14 @@ class ContentReader:
         Raises:
             MessageError: If there are too many bytes, or they are not a message of that type.
         """
-        if not self._has_same_layout(data):
+        if len(data) != self._size or any(data[at] != same for at, same in self._fixed):
             self._find_layout(data)
         layout = self._layout
-        order = "<f8" if layout.little else ">f8"
         doubles = {
-            name: np.frombuffer(data, order, count, at).astype(np.float64) if count else _NONE
+            name: np.frombuffer(data, _DOUBLE, count, at).astype(np.float64) if count else _NONE
             for name, (at, count) in layout.doubles.items()
         }
         return Content(header_stamp(data), layout.texts, doubles)
-
-    def _has_same_layout(self, data: bytes) -> bool:
-        """Return whether a message has the strings and lengths of the previous one."""
-        return len(data) == self._size and all(data[at] == same for at, same in self._fixed)
 
     def _find_layout(self, data: bytes) -> None:
         if len(data) > LARGEST_MESSAGE:
@@ -318,14 +303,8 @@ def tables(type_name: str, messages: Sequence[bytes]) -> Iterator[Table]:
             except ValueError as error:
                 text = f"A message is not a valid {type_name}: {error}; record it again."
                 raise BagError(text) from None
-            same = _sharing(matrix, layout)
+            same = np.ones(len(matrix), dtype=np.bool_)
+            for start, end in layout.fixed:
+                same &= (matrix[:, start:end] == matrix[0, start:end]).all(axis=1)
             yield Table(rows[same], layout, matrix[same])
             rows, matrix = rows[~same], matrix[~same]
-
-
-def _sharing(matrix: NDArray[np.uint8], layout: Layout) -> NDArray[np.bool_]:
-    """Return which messages have the fixed bytes of the first one."""
-    same = np.ones(len(matrix), dtype=np.bool_)
-    for start, end in layout.fixed:
-        same &= (matrix[:, start:end] == matrix[0, start:end]).all(axis=1)
-    return same

@@ -69,7 +69,7 @@ def run_interpreted() -> None:
 def ensure_compiled(pause: Callable[[float], None] = time.sleep) -> None:
     """Compile all functions in another process, so that this one need not load Numba.
 
-    It takes a minute or two and prints a note to stderr. `pause` waits [s] and may raise to abort.
+    `pause` waits [s] and may raise to abort.
     """
     if is_complete():
         return

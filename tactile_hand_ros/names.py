@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Names of topics, services, frames and nodes, all defined here.
 
-All names except `DIAGNOSTICS` and `OF_ALL_NODES` are relative, so a namespace gives a second hand.
+All names except those in `OF_ALL` are relative, so a namespace gives a second hand.
 That includes the clock. Without a namespace it is the `/clock` that `use_sim_time` follows. But two
 hands in one domain have two times, and with two senders on `/clock` time would jump back and forth.
 Remap `clock:=/clock` on one of the plants.
@@ -50,9 +50,7 @@ TRUE_SLIP = "ground_truth/slip"
 ROBOT_DESCRIPTION = "robot_description"
 DIAGNOSTICS = "/diagnostics"
 CLOCK = "clock"
-OF_ALL_NODES = ("/parameter_events", "/rosout")
-"""Topics on which every node publishes, even during startup."""
-OF_ALL = (DIAGNOSTICS, *OF_ALL_NODES)
+OF_ALL = (DIAGNOSTICS, "/parameter_events", "/rosout")
 """Topics that every node has."""
 HIDDEN = "_"
 """First letter of topics that belong to the tools: neither listed nor recorded."""

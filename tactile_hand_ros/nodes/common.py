@@ -25,10 +25,8 @@ class ModeLog:
         self, log: Callable[[str], Any], clock: Callable[[], float] = time.monotonic
     ) -> None:
         """Start without a mode; `log` takes a line, `clock` is in seconds."""
-        self._log = log
-        self._clock = clock
-        self._mode = ""
-        self._second, self._lines = -1, 0
+        self._log, self._clock = log, clock
+        self._mode, self._second, self._lines = "", -1, 0
 
     def note(self, mode: str, reason: str = "") -> None:
         """Log the mode and its reason if it has changed; of the first mode, only with a reason."""

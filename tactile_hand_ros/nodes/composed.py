@@ -74,10 +74,9 @@ class ComposedHand(_Wired):
         self._last: tuple[int, Array | None] = -1, None
 
     def answer(self, stamp: int, state: PlantState) -> Array | None:
-        """Return the torque for a tick, shape (m,), N m, and publish all answers.
+        """Publish all answers to a tick and return the torque, shape (m,), N m.
 
-        The result is None if a node failed or the torque must not be sent. A repeated tick gets the
-        same answer again.
+        It is None if a node failed or it must not be sent. A repeated tick gets the same answer.
         """
         if stamp == self._last[0]:
             self.on_repeat()

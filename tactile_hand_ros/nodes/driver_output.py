@@ -53,11 +53,7 @@ class DriverOutputNode(TactileNode[DriverOutputConfig]):
     """
 
     def __init__(self, **kwargs: Any) -> None:
-        """Create the topics.
-
-        Raises:
-            TactileHandError: If a parameter or the `driver` of the hand's file is rejected.
-        """
+        """Create the topics of the `driver` in the hand's file."""
         super().__init__("driver_output", DriverOutputConfig, **kwargs)
         c, hand = self.config, Hand.load(self.config.hand)
         driver = load_hand_config(c.hand).driver
@@ -73,9 +69,8 @@ class DriverOutputNode(TactileNode[DriverOutputConfig]):
         self.subscribe(JointState, names.JOINT_STATES, self._on_joints, sensor=True, raw=True)
         self.subscribe(JointState, names.JOINT_COMMAND, self._on_command, raw=True)
         silence = f"no usable {names.JOINT_COMMAND} for {c.age_limit} ticks"
-        self._silence = self.create_timer(
-            c.age_limit / c.rate, partial(self.to_safe_state, silence)
-        )
+        hold = partial(self.to_safe_state, silence)
+        self._silence = self.create_timer(c.age_limit / c.rate, hold)
 
     def _on_joints(self, data: bytes) -> None:
         self._newest, (self._theta,) = self._angles.decode(data)

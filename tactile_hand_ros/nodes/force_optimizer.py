@@ -100,11 +100,7 @@ class ForceOptimizerNode(TactileNode[ForceOptimizerConfig]):
     """
 
     def __init__(self, *, composed: bool = False, **kwargs: Any) -> None:
-        """Set up the problem; with `composed` a chain calls `step` and no ticks are received.
-
-        Raises:
-            TactileHandError: If a parameter is rejected or there is no such hand.
-        """
+        """Set up the problem; with `composed` a chain calls `step` and no ticks are received."""
         super().__init__("force_optimizer", ForceOptimizerConfig, **kwargs)
         fingers = load_hand_config(self.config.hand).finger_names
         self._fingers = len(fingers)
@@ -117,11 +113,8 @@ class ForceOptimizerNode(TactileNode[ForceOptimizerConfig]):
             return
         declared = [streams.contacts(self._fingers)]
         if self.config.cones:
-            declared += [
-                streams.loads(fingers),
-                streams.grip_margin(fingers),
-                streams.grasp_force(),
-            ]
+            declared += [streams.loads(fingers), streams.grip_margin(fingers)]
+            declared.append(streams.grasp_force())
         self._inputs = TickInputs(self, declared, self)
 
     def _rehearse(self) -> None:

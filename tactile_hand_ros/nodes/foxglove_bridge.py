@@ -8,14 +8,14 @@ from collections.abc import Sequence
 from typing import Any
 
 from geometry_msgs.msg import PoseStamped
-from rclpy.serialization import deserialize_message
 from std_msgs.msg import Float64
 
 from tactile_hand_ros import names
 from tactile_hand_ros.bag.schema import message_definition
 from tactile_hand_ros.config.model import Config, param
-from tactile_hand_ros.errors import BagError, ConfigurationError, MessageError
+from tactile_hand_ros.errors import BagError, ConfigurationError
 from tactile_hand_ros.extras import optional
+from tactile_hand_ros.nodes.recorder.config import TopicSelection
 from tactile_hand_ros.nodes.recorder.topic import RawTopic
 from tactile_hand_ros.ros import qos
 from tactile_hand_ros.ros.node import TactileNode
@@ -27,6 +27,7 @@ ADDRESS = "127.0.0.1"
 _PERIOD = 1.0 / 60.0  # s between two deliveries
 _DISCOVERY_PERIOD = 0.5  # s between two searches for new topics
 _DEPTH = 1000  # messages of a topic that wait for a delivery
+_EVERY_TOPIC = TopicSelection([".*"])
 
 
 class FoxgloveBridgeConfig(Config):
@@ -64,7 +65,7 @@ class FoxgloveBridgeNode(TactileNode[FoxgloveBridgeConfig]):
     """Offers every topic of the graph on a WebSocket, in the protocol of Foxglove.
 
     A topic is subscribed while a client shows it. Clients may publish `desired_pose` and
-    `user_grasp_force`.
+    `user_grasp_force`; the nodes that receive these check them.
 
     Publications: `desired_pose` (geometry_msgs/PoseStamped), `user_grasp_force` (std_msgs/Float64),
     `/diagnostics`.
@@ -76,27 +77,22 @@ class FoxgloveBridgeNode(TactileNode[FoxgloveBridgeConfig]):
         """Start the server.
 
         Raises:
-            ConfigurationError: If a parameter is rejected or the port is in use.
             MissingLibraryError: If foxglove-sdk is not installed.
         """
         super().__init__("foxglove_bridge", FoxgloveBridgeConfig, **kwargs)
         self._sdk = optional("foxglove", "The bridge", "foxglove-sdk")
         self._sdk.set_log_level("CRITICAL")  # a client that leaves is not an error
         self._hub, self._listener = self._sdk.Context(), _Client()
-        self._offered: dict[str, Any] = {}
+        self._offered: dict[str, Any] = {}  # channels by topic, None of an unknown type
         self._shown: dict[str, RawTopic] = {}
-        self._refused: set[str] = set()
-        kinds = {names.DESIRED_POSE: PoseStamped, names.USER_GRASP_FORCE: Float64}
-        self._commands = {
-            self.resolve_topic_name(name): (kind, self.create_publisher(kind, name, qos.user_qos()))
-            for name, kind in kinds.items()
-        }
-        port = self.config.port
+        pose = self.create_publisher(PoseStamped, names.DESIRED_POSE, qos.user_qos())
+        force = self.create_publisher(Float64, names.USER_GRASP_FORCE, qos.user_qos())
+        self._commands = {each.topic_name: each for each in (pose, force)}
         try:
             self._server = self._sdk.start_server(
                 name="tactile_hand_ros",
                 host=ADDRESS,
-                port=port,
+                port=self.config.port,
                 capabilities=[self._sdk.Capability.ClientPublish],
                 supported_encodings=["cdr"],
                 server_listener=self._listener,
@@ -104,7 +100,7 @@ class FoxgloveBridgeNode(TactileNode[FoxgloveBridgeConfig]):
             )
         except (RuntimeError, OSError) as error:
             raise ConfigurationError(
-                f"port: {port} cannot be used ({error}); choose another, or 0 for any free one."
+                f"port: {self.config.port} cannot be used ({error}); choose another, or 0."
             ) from None
         print(f"foxglove: ws://{ADDRESS}:{self._server.port}", flush=True)
         self.create_timer(_DISCOVERY_PERIOD, self._discover)
@@ -117,58 +113,42 @@ class FoxgloveBridgeNode(TactileNode[FoxgloveBridgeConfig]):
     def _discover(self) -> None:
         """Offer new topics, and follow publishers that come and go."""
         for name, types in self.get_topic_names_and_types():
-            is_hidden = any(part.startswith("_") for part in name.split("/"))
-            if not (is_hidden or name in self._offered or name in self._refused):
-                self._offer(name, types[0])
+            if name not in self._offered and name in _EVERY_TOPIC:
+                self._offered[name] = self._channel(name, types[0])
         for topic in self._shown.values():
             topic.adapt(self._send)
 
-    def _offer(self, name: str, type_name: str) -> None:
+    def _channel(self, name: str, type_name: str) -> Any:
         try:
-            definition = message_definition(type_name)
+            found = message_definition(type_name)
         except BagError as error:
-            self._refused.add(name)
             self.get_logger().warning(f"{name} is not offered: {error}")
-            return
-        schema = self._sdk.Schema(
-            name=type_name, encoding=definition.encoding, data=definition.text.encode()
-        )
-        self._offered[name] = self._sdk.Channel(
-            name, message_encoding="cdr", schema=schema, context=self._hub
-        )
+            return None
+        kind = self._sdk.Schema(name=type_name, encoding=found.encoding, data=found.text.encode())
+        return self._sdk.Channel(name, message_encoding="cdr", schema=kind, context=self._hub)
 
     def _deliver(self) -> None:
         while self._listener.subscribed:
-            self._subscribe(self._listener.subscribed.popleft())
+            name = self._listener.subscribed.popleft()
+            # Anew for each client, so that each gets the last message of a latched topic.
+            if name in self._shown:
+                self._shown.pop(name).close()
+            self._shown[name] = RawTopic(self, name, self._offered[name].schema_name(), _DEPTH)
         for name, topic in list(self._shown.items()):
             topic.drain(self._send)
             if not self._offered[name].has_sinks():
                 self._shown.pop(name).close()
         while self._listener.sent:
-            self._publish(*self._listener.sent.popleft())
-
-    def _subscribe(self, name: str) -> None:
-        """Subscribe anew for each client, so that each gets the last message of a latched topic."""
-        if name in self._shown:
-            self._shown.pop(name).close()
-        self._shown[name] = RawTopic(self, name, self._offered[name].schema_name(), _DEPTH)
+            name, data = self._listener.sent.popleft()
+            if name in self._commands:
+                self._commands[name].publish(data)
+            else:
+                expected = " or ".join(self._commands)
+                self.reject(name, f"a client published on '{name}', expected {expected}")
 
     def _send(self, topic: RawTopic, data: bytes, received: int, sent: int) -> None:
         self._offered[topic.name].log(data, log_time=received)
         self.diagnostics.tick()
-
-    def _publish(self, name: str, data: bytes) -> None:
-        if name not in self._commands:
-            expected = " or ".join(self._commands)
-            self.reject(name, f"a client published on '{name}', expected {expected}")
-            return
-        kind, publisher = self._commands[name]
-        try:
-            message = deserialize_message(data, kind)
-        except Exception as error:  # of the middleware
-            self.reject(name, MessageError(f"not a message of type {kind.__name__}: {error}"))
-            return
-        publisher.publish(message)
 
 
 def main(args: Sequence[str] | None = None) -> int:

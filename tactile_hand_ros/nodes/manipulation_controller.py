@@ -139,15 +139,9 @@ class ManipulationControllerNode(TactileNode[ControllerConfig]):
     def __init__(self, *, composed: bool = False, time_waits: bool = False, **kwargs: Any) -> None:
         """Build the controller.
 
-        Args:
-            composed: Whether a chain in this process calls `step` and sets `joints_held`, so that
-                neither ticks nor `joint_hold` are received.
-            time_waits: Whether time waits for each answer, so that every answer must be sent.
-                Without a chain, a repeated tick shows this.
-            **kwargs: For `rclpy.node.Node`.
-
-        Raises:
-            TactileHandError: If a parameter is rejected or the hand cannot be built.
+        With `composed`, a chain in this process calls `step` and sets `joints_held`, so that
+        neither ticks nor `joint_hold` are received. With `time_waits`, time waits for each answer,
+        so every answer must be sent; without a chain, a repeated tick shows this.
         """
         super().__init__("manipulation_controller", ControllerConfig, **kwargs)
         take_law(self.config.law)  # named by a parameter, so by the user
@@ -335,7 +329,11 @@ class ManipulationControllerNode(TactileNode[ControllerConfig]):
                 command = self._controller.step(
                     stamp, theta, rates, contacts, optimal_forces, grasp_force, forces, applied
                 )
-                self._publish_rejection()
+                rejected = self.touch_rejected
+                if (rejected != self._rejected).any():
+                    self._rejected = rejected
+                    text = names.listed(self.hand.finger_names, rejected)
+                    self._rejection.publish(String(data=text))
                 command = self._send(stamp, command)
                 self._desired.after(stamp)
                 self._report.note(command, theta, contacts)
@@ -344,23 +342,12 @@ class ManipulationControllerNode(TactileNode[ControllerConfig]):
         return command
 
     def _safe_answer(self, stamp: int, joints: Joints, failure: TickFailedError) -> Command:
-        """Return the answer sent before a failure; if there is none, hold the hand.
-
-        Raises:
-            TickFailedError: If the hold fails too.
-        """
+        """Return the answer sent before a failure; if there is none, hold the hand."""
         if self._answer is None:
             self.guarded("safe state", self.on_blind_tick)(stamp, joints, str(failure))
         if self._answer is None:
             raise failure
         return self._answer[1]
-
-    def _publish_rejection(self) -> None:
-        """Publish the fingers whose touch contradicts the joints, if that has changed."""
-        rejected = self.touch_rejected
-        if (rejected != self._rejected).any():
-            self._rejected = rejected
-            self._rejection.publish(String(data=names.listed(self.hand.finger_names, rejected)))
 
     def on_blind_tick(self, stamp: int, joints: Joints, reason: str) -> None:
         """Hold the hand at a tick with missing inputs."""
@@ -412,10 +399,8 @@ class ManipulationControllerNode(TactileNode[ControllerConfig]):
     def _limited(self, torque: Array) -> Array:
         """Clip a torque to the joints' effort limits, and warn if it exceeds them."""
         is_over = bool((np.abs(torque) > self._limits).any())
-        if is_over:
-            self.diagnostics.fault("torque", _AT_LIMIT, WARN)
-        elif self._is_limited:
-            self.diagnostics.clear("torque")
+        if is_over or self._is_limited:
+            self.diagnostics.judge("torque", is_over, _AT_LIMIT, WARN)
         self._is_limited = is_over
         return np.clip(torque, -self._limits, self._limits) if is_over else torque
 

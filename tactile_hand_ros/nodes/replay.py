@@ -41,32 +41,31 @@ class Replay:
     def __init__(
         self, node: Node, reader: AnyReader, selection: TopicSelection, namespace: str = ""
     ) -> None:
-        """Create the publishers of the selected topics; `namespace` is prepended to their names.
+        """Create the publishers of the selected topics, below the namespace.
 
         Raises:
             BagError: If no topic is left to publish.
         """
-        self._node, self._reader = node, reader
+        self._reader = reader
         self._connections = [c for c in reader.connections if c.topic in selection]
         self.publishers: dict[str, Publisher] = {}
         self.skipped: dict[str, str] = {}
         self.duration = 1e-9 * (reader.end_time - reader.start_time)
         self.position, self.messages = 0.0, 0
         for topic in dict.fromkeys(c.topic for c in self._connections):
+            recorded = [c for c in self._connections if c.topic == topic]
+            offers = getattr(recorded[0].ext, "offered_qos_profiles", [])
+            profile = offered_qos(offers, sum(c.msgcount for c in recorded))
             try:
-                self.publishers[topic] = self._publisher(topic, namespace + topic)
+                kind = message_class(recorded[0].msgtype)
             except BagError as error:
                 self.skipped[topic] = str(error)
+            else:
+                self.publishers[topic] = node.create_publisher(kind, namespace + topic, profile)
         if not self.publishers or not reader.message_count:
             why = "; ".join(self.skipped.values()) or "--topics and --exclude leave none"
             why = why if reader.message_count else "it has no message"
             raise BagError(f"No topic of the bag {reader.paths[0]} can be published: {why}")
-
-    def _publisher(self, topic: str, name: str) -> Publisher:
-        recorded = [c for c in self._connections if c.topic == topic]
-        count = sum(connection.msgcount for connection in recorded)
-        profile = offered_qos(getattr(recorded[0].ext, "offered_qos_profiles", []), count)
-        return self._node.create_publisher(message_class(recorded[0].msgtype), name, profile)
 
     def run(self, rate: float = 1.0, watch: Callable[[], None] = lambda: None) -> None:
         """Publish until the end at `rate` times the recorded speed; call `watch` every 0.1 s."""

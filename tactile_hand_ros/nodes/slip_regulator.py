@@ -49,8 +49,13 @@ from tactile_hand_ros.ros.node import TactileNode
 from tactile_hand_ros.ros.runner import run_node
 from tactile_hand_ros.ros.ticks import TickInputs
 
-HAPTIC_PERIOD_NS = 20_000_000
+_HAPTIC_PERIOD_NS = 20_000_000
 """Simulated time between two haptic messages [ns]; actuators run at 50 Hz."""
+
+_UNHOLDABLE = (
+    "no grasp force of this distribution can hold: a contact leaves its friction cone at any k_f; "
+    "let the force_optimizer reshape it ('cones') or reduce the load"
+)
 
 
 class GripState(NamedTuple):
@@ -74,8 +79,7 @@ class RegulatorReport:
 
     def __init__(self, diagnostics: Diagnostics, fingers: Sequence[str]) -> None:
         """Create a report on fingers with these names."""
-        self._diagnostics = diagnostics
-        self._fingers = tuple(fingers)
+        self._diagnostics, self._fingers = diagnostics, fingers
         self.reset()
 
     def reset(self) -> None:
@@ -117,25 +121,14 @@ class RegulatorReport:
         put("A4 cone_margin_n", watch.cone)
         put("A6 slip_time_left_s", watch.time_left)
         watch.clear()
-        self._warn(regulator)
-
-    def _warn(self, regulator: SlipRegulator) -> None:
         needed, maximum = self._maximum_needed, regulator.config.maximum
         self._maximum_needed = 0.0
-        self._diagnostics.judge(
-            "limit",
-            self._limited(),
+        limited = (
             f"the object needs a grasp force of {needed:.3g} N, but the limit is {maximum:g} N; "
-            "raise 'maximum' if the object can bear it, or reduce the load",
-            WARN,
+            "raise 'maximum' if the object can bear it, or reduce the load"
         )
-        self._diagnostics.judge(
-            "shape",
-            self._unholdable(),
-            "no grasp force of this distribution can hold: a contact leaves its friction cone at "
-            "any k_f; let the force_optimizer reshape it ('cones') or reduce the load",
-            WARN,
-        )
+        self._diagnostics.judge("limit", self._limited(), limited, WARN)
+        self._diagnostics.judge("shape", self._unholdable(), _UNHOLDABLE, WARN)
 
 
 class SlipRegulatorNode(TactileNode[SlipRegulatorConfig]):
@@ -174,9 +167,6 @@ class SlipRegulatorNode(TactileNode[SlipRegulatorConfig]):
 
         With `composed`, a chain in this process calls `step` and `reject_touch` and sets
         `joints_held`, so the node does not subscribe to these inputs.
-
-        Raises:
-            TactileHandError: If a parameter is rejected or there is no such hand.
         """
         super().__init__("slip_regulator", SlipRegulatorConfig, **kwargs)
         fingers = self._fingers = load_hand_config(self.config.hand).finger_names
@@ -278,8 +268,13 @@ class SlipRegulatorNode(TactileNode[SlipRegulatorConfig]):
     def step(self, stamp: int, contacts: Contacts, forces: Array) -> float:
         """Publish grip, load and k_f and return k_f; see `SlipRegulator.step`."""
         with self.answering():
-            regulator = self._regulator
-            grasp_force = self._checked(regulator.step(stamp, contacts, forces))
+            regulator, maximum = self._regulator, self.config.maximum
+            grasp_force = regulator.step(stamp, contacts, forces)
+            if not 0.0 <= grasp_force <= maximum:
+                raise UnsafeOutputError(
+                    f"k_f = {grasp_force} N is outside 0 to {maximum} N and was not published; "
+                    "call ~/reset"
+                )
             state = GripState.of(regulator)
             self._grip_publisher.publish(stamp, *state)
             load, friction, reserve = regulator.carried
@@ -288,8 +283,7 @@ class SlipRegulatorNode(TactileNode[SlipRegulatorConfig]):
             self._publisher.publish((0.0, grasp_force, 0.0), stamp)
             self._changes.take_effect(stamp)
             self._report.note(regulator, stamp, contacts, forces, state)
-            level = grasp_force / self.config.maximum
-            self._publish_haptics(stamp, level, float(state.evidence.max()))
+            self._publish_haptics(stamp, grasp_force / maximum, float(state.evidence.max()))
         return grasp_force
 
     on_tick = step
@@ -299,23 +293,10 @@ class SlipRegulatorNode(TactileNode[SlipRegulatorConfig]):
         self._regulator.step(stamp, contacts, forces)
         self._changes.take_effect(stamp)
 
-    def _checked(self, grasp_force: float) -> float:
-        """Return the grasp force if it may be published.
-
-        Raises:
-            UnsafeOutputError: If it is outside 0 to the limit; the tick then gets no k_f.
-        """
-        if not 0.0 <= grasp_force <= self.config.maximum:
-            raise UnsafeOutputError(
-                f"k_f = {grasp_force} N is outside 0 to {self.config.maximum} N and was not "
-                "published; call ~/reset"
-            )
-        return grasp_force
-
     def _publish_haptics(self, stamp: int, grip: float, slip: float) -> None:
         self._strongest = max(self._strongest, slip)
-        if stamp // HAPTIC_PERIOD_NS != self._haptic_period:
-            self._haptic_period = stamp // HAPTIC_PERIOD_NS
+        if stamp // _HAPTIC_PERIOD_NS != self._haptic_period:
+            self._haptic_period = stamp // _HAPTIC_PERIOD_NS
             self._haptic_publisher.publish(feedback_message((grip, self._strongest)))
             self._strongest = 0.0
 

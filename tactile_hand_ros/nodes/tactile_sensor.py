@@ -46,11 +46,7 @@ class TactileSensorNode(TactileNode[TactileSensorConfig]):
     """
 
     def __init__(self, *, composed: bool = False, **kwargs: Any) -> None:
-        """Build the sensor; with `composed` a chain calls `step` and no ticks are received.
-
-        Raises:
-            TactileHandError: If a parameter is rejected or there is no such hand.
-        """
+        """Build the sensor; with `composed` a chain calls `step` and no ticks are received."""
         super().__init__("tactile_sensor", TactileSensorConfig, **kwargs)
         hand = load_hand_config(self.config.hand)
         fingers = hand.finger_names
@@ -81,11 +77,7 @@ class TactileSensorNode(TactileNode[TactileSensorConfig]):
         self._sensor.reset()
 
     def check_config(self, config: TactileSensorConfig) -> None:
-        """Check that the faults fit the number of fingers.
-
-        Raises:
-            ConfigurationError: If they do not.
-        """
+        """Reject faults that do not fit the number of fingers."""
         config.check_faults(self._fingers)
 
     def on_config(self, config: TactileSensorConfig) -> None:

@@ -23,8 +23,7 @@ from tactile_hand_ros.ros.messages import stamp_from_ns
 from tactile_hand_ros.ros.node import TactileNode
 from tactile_hand_ros.ros.parameters import to_parameters
 
-_REJECTION_LIMIT = 10
-"""Maximum number of rejections published between two ticks."""
+_REJECTION_LIMIT = 10  # between two ticks
 
 MessageAt = Callable[[int], Any]
 """Makes a message, or its bytes, for a tick [ns]."""

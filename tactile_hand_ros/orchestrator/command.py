@@ -93,5 +93,5 @@ def split_ros_arguments(line: Sequence[str]) -> tuple[list[str], list[str]]:
     try:
         return remove_ros_args(list(line))[1:], list(line)
     except RuntimeError as error:
-        reason = str(error).split(", at ")[0].splitlines()[0]
+        reason = str(error).split(", at ")[0]
         raise ConfigurationError(f"the ROS arguments cannot be used: {reason}") from None

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import time
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -11,16 +12,13 @@ from typing import Any
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 
-from tactile_hand_ros.errors import counted
+from tactile_hand_ros.errors import counted, shortened
 
 OK, WARN = DiagnosticStatus.OK, DiagnosticStatus.WARN
 ERROR, STALE = DiagnosticStatus.ERROR, DiagnosticStatus.STALE
 
 WARN_SECONDS = 5.0
 """How long a rejected message keeps the level at WARN and an error keeps it at ERROR [s]."""
-
-_LONGEST_REASON = 300
-"""Maximum length of a stored reason, in characters."""
 
 _WINDOW = 4096
 """Number of recent latencies used for the percentiles."""
@@ -46,18 +44,16 @@ class Diagnostics:
     """
 
     def __init__(self, name: str, clock: Callable[[], float] = time.monotonic) -> None:
-        """Create the counters for a node; `clock` [s] serves only rates and warning durations."""
+        """Create the counters of a node; `clock` [s] serves only rates and warning durations."""
         self.name, self.expects = name, ""
         self._clock = clock
-        self._ticks = 0
-        self._reported_ticks = 0
+        self._ticks = self._reported_ticks = 0
         self._reported_at = clock()
         self._rejections: dict[str, _Notes] = {}
         self._errors: dict[str, _Notes] = {}
         self._values: dict[str, Any] = {}
         self._faults: dict[str, tuple[str, bytes]] = {}
-        self._latencies = np.zeros(_WINDOW)
-        self._latency_count = 0
+        self._latencies: deque[float] = deque(maxlen=_WINDOW)
 
     def tick(self) -> None:
         """Count one tick."""
@@ -65,8 +61,7 @@ class Diagnostics:
 
     def latency(self, seconds: float) -> None:
         """Record the duration of one tick [s]."""
-        self._latencies[self._latency_count % _WINDOW] = seconds
-        self._latency_count += 1
+        self._latencies.append(seconds)
 
     def value(self, key: str, value: Any) -> None:
         """Set a reported value, such as a margin or a residual."""
@@ -84,7 +79,7 @@ class Diagnostics:
             self.clear(key)
 
     def clear(self, key: str) -> None:
-        """Clear a fault; do nothing if it is not set."""
+        """Clear a fault, if it is set."""
         self._faults.pop(key, None)
 
     def reject(self, topic: str, error: Exception | str) -> bool:
@@ -96,9 +91,8 @@ class Diagnostics:
         return self._note(self._errors, source, text)
 
     def _note(self, entries: dict[str, _Notes], key: str, error: Exception | str) -> bool:
-        entry = entries.setdefault(key, _Notes())
-        now = self._clock()
-        entry.count, entry.reason, entry.last = entry.count + 1, str(error)[:_LONGEST_REASON], now
+        entry, now = entries.setdefault(key, _Notes()), self._clock()
+        entry.count, entry.reason, entry.last = entry.count + 1, shortened(error), now
         is_due = now - entry.logged >= WARN_SECONDS
         if is_due:
             entry.logged = now
@@ -142,10 +136,9 @@ class Diagnostics:
         return level, f"{text}; {silence}" if self.expects else text
 
     def _percentiles(self) -> dict[str, str]:
-        count = min(self._latency_count, _WINDOW)
-        if not count:
+        if not self._latencies:
             return {}
-        marks = np.percentile(self._latencies[:count], (50, 99, 100), method="nearest")
+        marks = np.percentile(self._latencies, (50, 99, 100), method="nearest")
         named = zip(("p50", "p99", "max"), marks, strict=True)
         return {f"latency_{name}_us": f"{1e6 * mark:.0f}" for name, mark in named}
 

@@ -70,27 +70,20 @@ class DirectTakeGroup(CallbackGroup):
         return False
 
 
-def subscribe_directly(
-    node: Node, kind: Any, topic: str, profile: QoSProfile, **options: Any
-) -> Subscription:
+def subscribe_directly(node: Node, kind: Any, topic: str, profile: QoSProfile) -> Subscription:
     """Subscribe to serialized messages that are read only with `taken` or `take_latest`."""
-    group = DirectTakeGroup()
     # No executor would take an event, so each event would wake it again and again.
-    options.setdefault("event_callbacks", SubscriptionEventCallbacks(use_default_callbacks=False))
+    none = SubscriptionEventCallbacks(use_default_callbacks=False)
+    group = DirectTakeGroup()
     return node.create_subscription(
-        kind, topic, lambda _: None, profile, callback_group=group, raw=True, **options
+        kind, topic, lambda _: None, profile, callback_group=group, event_callbacks=none, raw=True
     )
 
 
 def taken(subscription: Subscription, limit: int = _ALL) -> Iterator[tuple[Any, Any]]:
-    """Take the waiting messages, oldest first, as bytes if the subscription is raw.
+    """Yield the waiting messages, oldest first, each with its info from the middleware.
 
-    Args:
-        subscription: A subscription that no executor serves at the same time.
-        limit: Maximum number of messages, so that a flood cannot starve other topics.
-
-    Yields:
-        A message and its info from the middleware.
+    No executor may serve the subscription. The limit keeps a flood from starving other topics.
     """
     handle, kind, raw = subscription.handle, subscription.msg_type, subscription.raw
     with handle:
@@ -112,8 +105,8 @@ def take_latest(subscription: Subscription) -> Any:
 def message_class(type_name: str) -> Any:
     """Return the Python class of a message type such as ``sensor_msgs/msg/JointState``.
 
-    The name comes from a bag or from the network. Only installed interface packages are imported,
-    so the name cannot run an arbitrary module on the Python path.
+    The name comes from a bag or the network. Only installed interface packages are imported, so it
+    cannot run an arbitrary module on the Python path.
 
     Raises:
         BagError: If the type is not installed.

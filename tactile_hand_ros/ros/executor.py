@@ -18,8 +18,8 @@ Private parts of rclpy (Jazzy) in use:
 A node with work to do between messages has a method `work`, which returns whether there is more to
 do. The executor calls it repeatedly and does not block meanwhile.
 
-A middleware error (an unreadable request, an unsendable reply) is passed to the node's ``survive``
-if it has one, and does not stop the loop.
+A middleware error (an unreadable request, an unsendable reply) is passed to ``survive`` of the
+nodes that have one, and does not stop the loop.
 """
 
 from __future__ import annotations
@@ -56,26 +56,22 @@ _EVENT = "event"
 
 
 def _lateness(timer: Timer) -> int:
-    """Return how long the deadline of a timer, a period after it was due, is past [ns]."""
+    """Return how long ago a timer was due, less its period [ns]."""
     return int(-(timer.time_until_next_call() or 0) - timer.timer_period_ns)
 
 
-def spin(nodes: Node | Sequence[Node], executor: Executor | None = None) -> None:
-    """Serve one or several nodes of one context until it is shut down.
+def spin(nodes: Sequence[Node]) -> None:
+    """Serve nodes of one context until SIGINT, SIGTERM or ``rclpy.shutdown``.
 
-    Returns after SIGINT, SIGTERM or ``rclpy.shutdown``. An exception in a callback propagates. The
-    default executor is a new `WaitSetExecutor`.
+    An exception in a callback propagates.
     """
-    listed = [nodes] if isinstance(nodes, Node) else list(nodes)
-    chosen = executor or WaitSetExecutor(context=listed[0].context)
-    for node in listed:
-        chosen.add_node(node)
+    executor = WaitSetExecutor(context=nodes[0].context)
+    for node in nodes:
+        executor.add_node(node)
     try:
-        chosen.spin()
+        executor.spin()
     finally:
-        for node in listed:
-            chosen.remove_node(node)
-        chosen.shutdown()
+        executor.shutdown()
 
 
 class _WaitSet:
@@ -84,12 +80,12 @@ class _WaitSet:
     def __init__(
         self, entities: Mapping[str, Iterable[Any]], context: Context, stack: ExitStack
     ) -> None:
-        """Collect the entities, by kind; `stack` keeps them in use until it closes."""
+        """Take the entities, by kind; `stack` keeps them in use until it closes."""
         self._known: dict[int, Any] = {}
         self._events: list[Any] = []
         held: list[tuple[str, Any]] = []
         stack.enter_context(context.handle)
-        for kind, each in ((kind, each) for kind, some in entities.items() for each in some):
+        for kind, each in [(kind, each) for kind, some in entities.items() for each in some]:
             with suppress(InvalidHandle):  # destroyed by another thread in the meantime
                 if kind == _EVENT:
                     stack.enter_context(each)
@@ -120,10 +116,7 @@ class _WaitSet:
 
 
 class WaitSetExecutor(Executor):
-    """A single-threaded executor that keeps its wait sets.
-
-    Not for use from several threads, except `wake` and `shutdown`.
-    """
+    """A single-threaded executor that keeps its wait sets; other threads may wake or end it."""
 
     # The base class reads it at shutdown, even if a signal interrupted its construction.
     _sigint_gc = None
@@ -225,7 +218,7 @@ class WaitSetExecutor(Executor):
             self._serve(service)
         for client in rare.ready("client"):
             take = partial(client.handle.take_response, client.srv_type.Response)
-            for header, response in self._taken(client, client.srv_name, take):
+            for header, response in self._taken(client.srv_name, take):
                 with suppress(KeyError):  # the request was cancelled
                     number = header.request_id.sequence_number
                     client.get_pending_request(number).set_result(response)
@@ -239,31 +232,27 @@ class WaitSetExecutor(Executor):
         kind, raw = subscription.msg_type, subscription.raw
         wanted = 1 if subscription._callback_type is Subscription.CallbackType.MessageOnly else 2
         take = partial(subscription.handle.take_message, kind, raw)
-        for item in self._taken(subscription, subscription.topic_name, take):
+        for item in self._taken(subscription.topic_name, take):
             subscription.callback(*item[:wanted])
 
     def _serve(self, service: Service) -> None:
         kind = service.srv_type
         take = partial(service.handle.service_take_request, kind.Request)
-        for request, header in self._taken(service, service.srv_name, take):
+        for request, header in self._taken(service.srv_name, take):
             try:
                 service.send_response(service.callback(request, kind.Response()), header)
             except Exception as error:
                 self._survive("services", error)
 
-    def _taken(self, entity: Any, name: str, take: Callable[[], Any]) -> Iterator[Any]:
-        """Yield what waits at an entity; report bytes that cannot be read to its node."""
+    def _taken(self, name: str, take: Callable[[], Any]) -> Iterator[Any]:
+        """Yield what waits at an entity; report bytes that cannot be read."""
         for _ in range(_BURST):
             # A subscription that a callback destroyed must not see another message.
             try:
                 item = None if self._stale else take()
             except Exception as error:
-                nodes = self.get_nodes()
-                ends = ((n, (*n.subscriptions, *n.services, *n.clients)) for n in nodes)
                 text = f"its bytes cannot be read ({type(error).__name__})."
-                self._survive(
-                    name, MessageError(text), [node for node, has in ends if entity in has]
-                )
+                self._survive(name, MessageError(text))
                 continue
             if item is None or item[1] is None:
                 return
@@ -272,9 +261,9 @@ class WaitSetExecutor(Executor):
     def _is_running(self) -> bool:
         return bool(self._context.ok()) and not self._is_shutdown
 
-    def _survive(self, source: str, error: Exception, nodes: Sequence[Node] = ()) -> None:
-        """Pass an error to the nodes that it concerns, or to all nodes if that is unknown."""
-        survivors = [node for node in nodes or self.get_nodes() if hasattr(node, "survive")]
+    def _survive(self, source: str, error: Exception) -> None:
+        """Pass an error to all nodes that survive errors."""
+        survivors = [node for node in self.get_nodes() if hasattr(node, "survive")]
         if not survivors:
             raise error
         for node in survivors:

@@ -3,8 +3,12 @@
 
 With five messages per tick and finger, generated (de)serialization is the largest cost of a node.
 In a tick message only the timestamp and the numbers change. So a `CdrTemplate` keeps the rest, and
-a `ContentReader` parses the rest only when it changes. Invalid messages raise `MessageError`.
-Padding is written as zeros, so equal numbers give equal bytes.
+a `ContentReader` parses the rest only when it changes. Padding is written as zeros, so equal
+numbers give equal bytes. Timestamps are in nanoseconds.
+
+Unless a codec allows it, a number must be finite and at most `LARGEST_NUMBER`, and a quaternion of
+unit length. Otherwise, and for bytes of another type or a wrong frame, each `decode` raises
+MessageError. Each `encode` raises UnsafeOutputError for a number that may not be sent.
 
 Source: OMG DDS-XTypes 1.3, 7.4 (plain CDR version 1); REP 2000 types of ROS 2 Jazzy.
 """
@@ -23,11 +27,11 @@ from geometry_msgs.msg import WrenchStamped
 from numpy.typing import NDArray
 from sensor_msgs.msg import JoyFeedback, JoyFeedbackArray
 
-from tactile_hand_ros.cdr import CdrTemplate, Content, ContentReader, to_nanoseconds
+from tactile_hand_ros.cdr import ENCODING, CdrTemplate, Content, ContentReader, to_nanoseconds
 from tactile_hand_ros.compiled import Array
 from tactile_hand_ros.config.explanation import did_you_mean
 from tactile_hand_ros.control.contact import Contacts
-from tactile_hand_ros.errors import MessageError, UnsafeOutputError, nearest
+from tactile_hand_ros.errors import MessageError, UnsafeOutputError, nearest, shortened
 from tactile_hand_ros.names import PALM_FRAME, contact_frame
 
 if TYPE_CHECKING:
@@ -40,7 +44,7 @@ LARGEST_NUMBER = 1e9
 
 _SECOND = 1_000_000_000
 _LARGEST_SQUARE = LARGEST_NUMBER * LARGEST_NUMBER
-_LONGEST_NAME = 80  # maximum length of a sender's text in an error
+_LONGEST_NAME = 80  # of a sender's text in an error
 _UNIT_TOLERANCE = 1e-3
 _NUMBER_SIZE = 12  # the encapsulation and a double
 
@@ -94,17 +98,13 @@ def check_output(values: Array, *, nan_allowed: bool = False) -> None:
 
 
 def read_number(data: bytes) -> float:
-    """Return the number of a serialized std_msgs/Float64.
-
-    Raises:
-        MessageError: For bytes of another type, NaN, infinity or a number beyond `LARGEST_NUMBER`.
-    """
-    if len(data) < _NUMBER_SIZE or data[0] or data[1] > 1:
+    """Return the number of a serialized std_msgs/Float64; it raises as each `decode`."""
+    if len(data) < _NUMBER_SIZE or data[:2] != ENCODING:
         raise MessageError(f"{len(data)} bytes that are not a std_msgs/msg/Float64.")
-    number: float = struct.unpack_from("<d" if data[1] else ">d", data, 4)[0]
+    (number,) = struct.unpack_from("<d", data, 4)
     if not _is_usable(number):
         raise MessageError(f"data is {number}, expected a finite number up to {LARGEST_NUMBER:g}.")
-    return number
+    return float(number)
 
 
 def _is_usable(*numbers: float) -> bool:
@@ -131,13 +131,9 @@ def _check_frame(content: Content, frame: str) -> None:
     given = content.texts[0]
     if given != frame:
         raise MessageError(
-            f"frame_id is '{_shown(given)}', expected '{frame}'; transform it first."
+            f"frame_id is '{shortened(given, _LONGEST_NAME)}', expected '{frame}'; transform it "
+            "first."
         )
-
-
-def _shown(text: str) -> str:
-    """Return a sender's text for an error, shortened to less than a line."""
-    return text if len(text) <= _LONGEST_NAME else f"{text[:_LONGEST_NAME]}..."
 
 
 class WrenchCodec:
@@ -151,11 +147,11 @@ class WrenchCodec:
         any_frame: bool = False,
         normal_allowed: bool = False,
     ) -> None:
-        """Create the codec.
+        """Create the codec for messages in a frame.
 
         Args:
-            frame: Frame of written messages, required in read messages.
-            nan_allowed: Whether NaN is valid, for "no value", in both directions.
+            frame: The frame.
+            nan_allowed: Whether NaN is valid, for "no value".
             any_frame: Whether read messages may be in any frame, if only y is used.
             normal_allowed: Whether x and z may both be NaN, from a skin without them.
         """
@@ -166,11 +162,7 @@ class WrenchCodec:
         self._read = ContentReader("geometry_msgs/msg/WrenchStamped")
 
     def encode(self, force: Sequence[float] | Array, stamp_ns: int) -> bytes:
-        """Return the message for a force of shape (3,).
-
-        Raises:
-            UnsafeOutputError: If it is infinite, or NaN where that is not allowed.
-        """
+        """Return the message for a force of shape (3,)."""
         self._force[:] = force
         x, y, z = force
         if not x * x + y * y + z * z <= _LARGEST_SQUARE:
@@ -182,12 +174,7 @@ class WrenchCodec:
         return self._normal_allowed and math.isnan(x) and math.isnan(z)
 
     def decode(self, data: bytes) -> tuple[int, Force]:
-        """Return timestamp [ns] and force [N].
-
-        Raises:
-            MessageError: For bytes of another type, a wrong frame, a number beyond
-                `LARGEST_NUMBER`, or NaN where it is not allowed.
-        """
+        """Return timestamp and force [N]."""
         content = self._read(data)
         if self._frame is not None:
             _check_frame(content, self._frame)
@@ -201,7 +188,7 @@ class WrenchCodec:
         return content.stamp, (x, y, z)
 
     def decode_normal(self, data: bytes) -> tuple[int, float]:
-        """Return timestamp [ns] and normal force [N], which carries k_f; see `decode`."""
+        """Return timestamp and normal force [N], which carries k_f."""
         stamp, force = self.decode(data)
         return stamp, force[1]
 
@@ -217,10 +204,11 @@ class WrenchPublishers:
         **allowed: bool,
     ) -> None:
         """Create the publishers; `topic` maps a finger's name to its topic; see `WrenchCodec`."""
-        self._publishers = []
-        for name in fingers:
-            codec = WrenchCodec(contact_frame(name), **allowed)
-            self._publishers.append(node.tick_publisher(WrenchStamped, topic(name), codec.encode))
+        codecs = {name: WrenchCodec(contact_frame(name), **allowed) for name in fingers}
+        self._publishers = [
+            node.tick_publisher(WrenchStamped, topic(name), codec.encode)
+            for name, codec in codecs.items()
+        ]
 
     def publish(self, stamp_ns: int, forces: Array) -> None:
         """Publish the vectors of a tick [ns], shape (k, 3)."""
@@ -238,21 +226,13 @@ class PushCodec:
         self._read = ContentReader("geometry_msgs/msg/WrenchStamped")
 
     def encode(self, wrench: Array, stamp_ns: int) -> bytes:
-        """Return the message for a wrench of shape (6,).
-
-        Raises:
-            UnsafeOutputError: If it is not finite.
-        """
+        """Return the message for a wrench of shape (6,)."""
         self._wrench[:] = wrench
         check_output(self._wrench)
         return self._template.stamped(stamp_ns)
 
     def decode(self, data: bytes) -> tuple[int, Array]:
-        """Return timestamp [ns] and wrench, shape (6,).
-
-        Raises:
-            MessageError: For bytes of another type, a wrong frame, or a number that is not finite.
-        """
+        """Return timestamp and wrench, shape (6,)."""
         content = self._read(data)
         _check_frame(content, PALM_FRAME)
         wrench = content.doubles["wrench"]
@@ -272,22 +252,13 @@ class ContactsCodec:
         self._read = ContentReader("geometry_msgs/msg/PoseArray")
 
     def encode(self, positions: Array, quaternions: Array, stamp_ns: int) -> bytes:
-        """Return the message for contact points [m] and quaternions; NaN rows mean no contact.
-
-        Raises:
-            UnsafeOutputError: If a number is infinite.
-        """
+        """Return the message for contact points [m] and quaternions; NaN rows mean no contact."""
         self._rows[:, :3], self._rows[:, 3:] = positions, quaternions
         check_output(self._rows, nan_allowed=True)
         return self._template.stamped(stamp_ns)
 
     def decode(self, data: bytes) -> tuple[int, Pose]:
-        """Return timestamp [ns] and contacts; a NaN position means no contact and gives NaN rows.
-
-        Raises:
-            MessageError: For bytes of another type, a wrong frame or length, infinity or a
-                quaternion not of unit length.
-        """
+        """Return timestamp and contacts; a NaN position means no contact and gives NaN rows."""
         content = self._read(data)
         _check_frame(content, PALM_FRAME)
         rows = content.doubles["poses"].reshape(-1, 7)
@@ -308,7 +279,7 @@ class ContactsCodec:
         return content.stamp, Pose(rows[:, :3].copy(), rows[:, 3:].copy())
 
     def decode_contacts(self, data: bytes) -> tuple[int, Contacts]:
-        """Return timestamp [ns] and contacts with rotation matrices; see `decode`."""
+        """Return timestamp and contacts with rotation matrices."""
         stamp, poses = self.decode(data)
         return stamp, Contacts.from_poses(*poses)
 
@@ -325,7 +296,7 @@ class Joints(NamedTuple):
 
 
 class JointCodec:
-    """sensor_msgs/JointState with some of its fields, in the hand's joint order.
+    """sensor_msgs/JointState with some of its fields, arrays of shape (m,) in the hand's order.
 
     A read message may name the joints in any order, each exactly once.
     """
@@ -337,13 +308,9 @@ class JointCodec:
         *,
         others: bool = False,
     ) -> None:
-        """Create the codec.
+        """Create the codec; `fields` keep the order of the default.
 
-        Args:
-            names: Joint names in the hand's order.
-            fields: Fields to write and read, of ``position``, ``velocity`` and ``effort``, in this
-                order.
-            others: Whether a read message may contain other joints, such as those of an arm.
+        With `others`, a read message may contain other joints too, such as those of an arm.
         """
         self._names, self._others = list(names), others
         self._given: list[str] | None = None
@@ -359,32 +326,19 @@ class JointCodec:
         self._read = ContentReader("sensor_msgs/msg/JointState")
 
     def encode(self, stamp_ns: int, *values: NDArray[Any]) -> bytes:
-        """Return the message with one array of shape (m,) per field.
-
-        Raises:
-            UnsafeOutputError: If a number is not finite.
-        """
+        """Return the message with one array per field."""
         for block, numbers in zip(self._blocks, values, strict=True):
             block[:] = numbers
             check_output(block)
         return self._template.stamped(stamp_ns)
 
     def decode(self, data: bytes) -> tuple[int, list[Array]]:
-        """Return timestamp [ns] and one array of shape (m,) per field.
-
-        Raises:
-            MessageError: For bytes of another type, unknown, missing or repeated joints, wrong
-                length, NaN or infinity.
-        """
+        """Return timestamp and one array per field."""
         content = self._found(data)
         return content.stamp, [self._own(content, field) for field in self._wanted]
 
     def decode_joints(self, data: bytes) -> tuple[int, Joints]:
-        """Return timestamp [ns] and a driver's joint state, with position and velocity required.
-
-        Raises:
-            MessageError: As `decode`.
-        """
+        """Return timestamp and a driver's joint state; only the effort may be missing."""
         content, effort = self._found(data), None
         theta, rates = self._own(content, "position"), self._own(content, "velocity")
         with suppress(MessageError):
@@ -418,7 +372,7 @@ class JointCodec:
 
     def _places_in(self, given: Sequence[str]) -> NDArray[np.intp]:
         """Return the index of each joint of the hand among the sender's names."""
-        others = [_shown(name) for name in given if name not in self._names]
+        others = [shortened(name, _LONGEST_NAME) for name in given if name not in self._names]
         if others and not self._others:
             raise MessageError(f"unknown joint '{others[0]}'{did_you_mean(others[0], self._names)}")
         for name in self._names:
@@ -443,22 +397,13 @@ class PoseCodec:
         self._read = ContentReader("geometry_msgs/msg/PoseStamped")
 
     def encode(self, position: Array, quaternion: Array, stamp_ns: int) -> bytes:
-        """Return the message for a position [m] and a quaternion (x, y, z, w).
-
-        Raises:
-            UnsafeOutputError: If a number is not finite.
-        """
+        """Return the message for a position [m] and a quaternion (x, y, z, w)."""
         self._row[:3], self._row[3:] = position, quaternion
         check_output(self._row, nan_allowed=self._nan_allowed)
         return self._template.stamped(stamp_ns)
 
     def decode(self, data: bytes) -> tuple[int, Pose]:
-        """Return timestamp [ns] and pose.
-
-        Raises:
-            MessageError: For bytes of another type, a wrong frame, NaN, infinity or a quaternion
-                not of unit length.
-        """
+        """Return timestamp and pose."""
         content = self._read(data)
         _check_frame(content, PALM_FRAME)
         pose = Pose(*np.split(content.doubles["pose"], [3]))
@@ -483,21 +428,13 @@ class ImuCodec:
         self._row[[16, 28]] = -1.0  # -1 in a covariance marks unmeasured values
 
     def encode(self, orientation: Array, stamp_ns: int) -> bytes:
-        """Return the message for a quaternion (x, y, z, w).
-
-        Raises:
-            UnsafeOutputError: If a number is not finite.
-        """
+        """Return the message for a quaternion (x, y, z, w)."""
         self._row[:4] = orientation
         check_output(self._row)
         return self._template.stamped(stamp_ns)
 
     def decode(self, data: bytes) -> tuple[int, Array]:
-        """Return timestamp [ns] and quaternion, shape (4,).
-
-        Raises:
-            MessageError: For bytes of another type, or a quaternion not of unit length.
-        """
+        """Return timestamp and quaternion, shape (4,)."""
         content = self._read(data)
         orientation = content.doubles["orientation"]
         _checked_quaternion(orientation.tolist(), "the orientation")

@@ -128,7 +128,7 @@ def ros_context(arguments: Sequence[str] = (), domain: int | None = None) -> Ite
             signal_handler_options=SignalHandlerOptions.NO,
         )
     except RuntimeError as error:
-        reason = str(error).split(", at ")[0].splitlines()[0]  # without the location in rcl
+        reason = str(error).split(", at ")[0]  # without the location in rcl
         raise ConfigurationError(f"the ROS arguments cannot be used: {reason}") from None
     try:
         yield context

@@ -17,11 +17,9 @@ from contextlib import contextmanager
 from typing import Any, Generic, TypeVar
 
 from diagnostic_msgs.msg import DiagnosticArray
-from rcl_interfaces.srv import SetParameters, SetParametersAtomically
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.node import Node
-from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.service import Service
@@ -34,7 +32,7 @@ from tactile_hand_ros.errors import TactileHandError, UnsafeOutputError, shorten
 from tactile_hand_ros.ros import qos
 from tactile_hand_ros.ros.diagnostics import Diagnostics
 from tactile_hand_ros.ros.endpoints import TickFailedError, described, refusal
-from tactile_hand_ros.ros.parameters import ConfigParameters, with_known_types
+from tactile_hand_ros.ros.parameters import ConfigParameters
 from tactile_hand_ros.ros.relay import TickRelay
 from tactile_hand_ros.ros.scheduling import report_scheduling
 
@@ -61,7 +59,6 @@ class TickPublisher:
     Attributes:
         kind: Message class.
         topic: Full name of the topic.
-        qos_profile: Offered quality of service.
     """
 
     def __init__(self, node: Node, kind: Any, topic: str, encode: Callable[..., bytes]) -> None:
@@ -70,7 +67,6 @@ class TickPublisher:
         self._publisher = node.create_publisher(kind, topic, qos.tick_publisher_qos())
         self.kind = kind
         self.topic: str = self._publisher.topic_name
-        self.qos_profile: QoSProfile = self._publisher.qos_profile
         self._taps: list[Callable[[bytes], None]] = []
         self._is_read = False
         self._last: tuple[Any, ...] | None = None
@@ -82,11 +78,6 @@ class TickPublisher:
     def remove_tap(self, tap: Callable[[bytes], None]) -> None:
         """Stop calling back."""
         self._taps.remove(tap)
-
-    @property
-    def wanted(self) -> bool:
-        """Whether there is a tap or, at the last poll, a subscriber."""
-        return self._is_read or bool(self._taps)
 
     def get_subscription_count(self) -> int:
         """Return the current number of matched subscriptions."""
@@ -119,6 +110,9 @@ class TactileNode(Node, Generic[C]):
     Publishes `/diagnostics` (diagnostic_msgs/DiagnosticArray) once a second and whenever the number
     of matched peers changes. The ends of a topic may exist before they are matched.
 
+    The constructor of each node raises TactileHandError if a parameter is unknown or rejected, or
+    the hand cannot be built.
+
     Attributes:
         diagnostics: Counters and values to report.
         tick_publishers: Publishers of the node's tick messages.
@@ -128,11 +122,7 @@ class TactileNode(Node, Generic[C]):
     fatal: tuple[type[Exception], ...] = ()
 
     def __init__(self, name: str, model: type[C], **kwargs: Any) -> None:
-        """Create the node and declare one parameter per field of the configuration class.
-
-        Raises:
-            ConfigurationError: If a given parameter is unknown or rejected.
-        """
+        """Create the node and declare one parameter per field of the configuration class."""
         self._is_making_safe = False
         super().__init__(name, **kwargs)
         try:
@@ -200,12 +190,9 @@ class TactileNode(Node, Generic[C]):
         callback: Callable[..., Any],
         refuse: Callable[..., Any] = lambda *_: None,
     ) -> Callable[..., Any]:
-        """Return a callback whose errors the node survives.
+        """Return a callback whose errors the node survives and reports by their source.
 
-        Args:
-            source: Topic, service or timer to name in error reports.
-            callback: A plain function.
-            refuse: Returns the result after a failure, given the callback's arguments and a reason.
+        After an error its result is that of `refuse` for the same arguments and the reason.
         """
 
         @functools.wraps(callback)  # rclpy looks at the signature
@@ -253,17 +240,12 @@ class TactileNode(Node, Generic[C]):
         sensor: bool = False,
         raw: bool = False,
     ) -> Subscription:
-        """Subscribe; a bad message is counted and reported.
+        """Subscribe, by default with the quality of service of ticks.
 
-        Args:
-            message_type: Message class.
-            topic: Relative topic name.
-            callback: Takes the message (bytes if raw) and optionally its info from the middleware;
-                may raise TactileHandError to reject it.
-            profile: Quality of service, by default that of ticks.
-            sensor: Let users override history, depth and reliability with parameters such as
-                ``qos_overrides.<full topic>.subscription.reliability``.
-            raw: Receive serialized bytes.
+        The callback takes the message, or its bytes if `raw`, and optionally its info from the
+        middleware. It may raise TactileHandError to reject the message. With `sensor`, users may
+        override history, depth and reliability by parameters such as
+        ``qos_overrides.<full topic>.subscription.reliability``.
         """
         options = QoSOverridingOptions.with_default_policies() if sensor else None
         # A copy, because rclpy writes QoS overrides into the given profile.
@@ -283,7 +265,8 @@ class TactileNode(Node, Generic[C]):
         self, timer_period_sec: float, callback: Callable[[], Any], *args: Any, **kwargs: Any
     ) -> Timer:
         """Create a timer with a guarded callback, by default on the steady clock."""
-        guarded = self.guarded(f"timer {_name_of(callback)}", callback)
+        name = getattr(callback, "__qualname__", type(callback).__name__)
+        guarded = self.guarded(f"timer {name}", callback)
         kwargs.setdefault("clock", Clock(clock_type=ClockType.STEADY_TIME))
         return super().create_timer(timer_period_sec, guarded, *args, **kwargs)
 
@@ -291,10 +274,7 @@ class TactileNode(Node, Generic[C]):
         self, srv_type: Any, srv_name: str, callback: Callable[..., Any], **kwargs: Any
     ) -> Service:
         """Create a service as rclpy does, with a guarded callback."""
-        checked = callback
-        if srv_type in (SetParameters, SetParametersAtomically):
-            checked = with_known_types(callback)
-        guarded = self.guarded(srv_name, checked, refusal)
+        guarded = self.guarded(srv_name, callback, refusal)
         return super().create_service(srv_type, srv_name, guarded, **kwargs)
 
     def reject(self, topic: str, error: TactileHandError | str) -> None:
@@ -346,9 +326,13 @@ class TactileNode(Node, Generic[C]):
         """
         for publisher in self.tick_publishers:
             publisher.get_subscription_count()
-        sent = {_key(PUBLICATIONS, p): int(p.get_subscription_count()) for p in self.publishers}
-        received = {_key(SUBSCRIPTIONS, s): s.get_publisher_count() for s in self.subscriptions}
-        return sent | received
+        found = {
+            f"{PUBLICATIONS} {each.topic_name}": int(each.get_subscription_count())
+            for each in self.publishers
+        }
+        for each in self.subscriptions:
+            found[f"{SUBSCRIPTIONS} {each.topic_name}"] = int(each.get_publisher_count())
+        return found
 
     def publish_diagnostics(self) -> None:
         """Publish the state of the node; called by a timer, or by the node at any time."""
@@ -358,11 +342,3 @@ class TactileNode(Node, Generic[C]):
         message = DiagnosticArray(status=[self.diagnostics.status()])
         message.header.stamp = self.get_clock().now().to_msg()
         self._diagnostics_publisher.publish(message)
-
-
-def _name_of(callback: Callable[..., Any]) -> str:
-    return str(getattr(callback, "__qualname__", type(callback).__name__))
-
-
-def _key(end: str, entity: Publisher | Subscription) -> str:
-    return f"{end} {entity.topic_name}"

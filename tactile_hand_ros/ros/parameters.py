@@ -27,7 +27,7 @@ from tactile_hand_ros.config.explanation import (
 )
 from tactile_hand_ros.config.model import Config, flatten, from_flat, is_config, leaves
 from tactile_hand_ros.config.plain_yaml import parse_yaml
-from tactile_hand_ros.errors import ConfigurationError, MessageError, TactileHandError
+from tactile_hand_ros.errors import ConfigurationError, TactileHandError
 from tactile_hand_ros.ros.endpoints import described
 
 C = TypeVar("C", bound=Config)
@@ -67,19 +67,15 @@ class ConfigParameters(Generic[C]):
             node: The node.
             model: The configuration class.
             on_change: Called with the new configuration after each accepted change.
-            check: Called with the new configuration before; may raise TactileHandError to reject
-                it for reasons that the model alone cannot check.
+            check: Called with the new configuration before; may raise TactileHandError.
 
         Raises:
             ConfigurationError: If a given value is rejected or no field has the given name.
         """
-        self._node = node
-        self._model = model
+        self._node, self._source = node, node.get_fully_qualified_name()
         self._fields = leaves(model)
-        self._on_change = on_change
-        self._further_check = check
-        given = self._given()
-        self.config: C = from_flat(model, given, source=node.get_fully_qualified_name())
+        self._on_change, self._further_check = on_change, check
+        self.config: C = from_flat(model, self._given(), source=self._source)
         self._declare()
         node.add_pre_set_parameters_callback(self._with_declared_types)
         node.add_on_set_parameters_callback(self._check)
@@ -89,22 +85,20 @@ class ConfigParameters(Generic[C]):
         """Return the values set by files and command line, by field name."""
         # rclpy has no public access to overrides before they are declared.
         overrides: Mapping[str, Parameter] = self._node._parameter_overrides
-        source = self._node.get_fully_qualified_name()
         known = {*self._fields, *_OF_ROS}
         self._refuse([n for n in overrides if n not in known and not n.startswith(_QOS_PREFIX)])
         return {
-            name: from_ros(field, overrides[name].value, f"{source}: {name}")
+            name: from_ros(field, overrides[name].value, f"{self._source}: {name}")
             for name, field in self._fields.items()
             if name in overrides
         }
 
     def _refuse(self, unknown: list[str]) -> None:
         """Reject unknown parameters; only warn about those of a file, which other nodes may use."""
-        source = self._node.get_fully_qualified_name()
         for name in unknown:
             hint = did_you_mean(name, list(self._fields))
             if any(word.startswith(f"{name}:=") for word in sys.argv):
-                raise ConfigurationError(f"{source}: unknown parameter '{name}'{hint}")
+                raise ConfigurationError(f"{self._source}: unknown parameter '{name}'{hint}")
             self._node.get_logger().warning(f"ignored the unknown parameter '{name}'{hint}")
 
     def _declare(self) -> None:
@@ -116,7 +110,7 @@ class ConfigParameters(Generic[C]):
             [to_parameter(name, field, values[name]) for name, field in self._fields.items()]
         )
         if not result.successful:
-            raise ConfigurationError(f"{self._node.get_fully_qualified_name()}: {result.reason}.")
+            raise ConfigurationError(f"{self._source}: {result.reason}.")
         for name, field in self._fields.items():
             if not is_live(field):
                 self._node.set_descriptor(name, descriptor(field, read_only=True))
@@ -153,28 +147,6 @@ class ConfigParameters(Generic[C]):
             self._on_change(self.config)
 
 
-def with_known_types(callback: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Any]:
-    """Return a service callback that rejects parameters whose type number ROS does not define.
-
-    Raises:
-        MessageError: From the callback. rclpy would raise ValueError, which is not a rejection.
-    """
-
-    def checked(request: Any, response: Any) -> Any:
-        for parameter in getattr(request, "parameters", ()):
-            if parameter.value.type not in _TYPE_NUMBERS:
-                raise MessageError(
-                    f"the value of '{parameter.name[:80]}' has type {parameter.value.type}, "
-                    "expected one of rcl_interfaces/msg/ParameterType"
-                )
-        return callback(request, response)
-
-    return checked
-
-
-_TYPE_NUMBERS = {kind.value for kind in Type}
-
-
 def _retyped(parameter: Parameter, wanted: Parameter.Type) -> Parameter:
     value = parameter.value
     if parameter.type_ is Type.INTEGER and wanted is Type.DOUBLE:
@@ -190,17 +162,10 @@ _EMPTY_ARRAYS = (Type.BYTE_ARRAY, *_ARRAYS.values())
 
 
 def ros_type(field: FieldInfo) -> Parameter.Type:
-    """Return the ROS parameter type of a field.
-
-    Raises:
-        TypeError: If ROS has no parameter type for it.
-    """
-    annotation = field.annotation
-    item = element_type(annotation)
-    scalar = Type.STRING if choices_of(item) or is_config(item) else _SCALARS.get(item)
-    if scalar is None:
-        raise TypeError(f"{annotation} is not a type that a ROS parameter can have")
-    return _ARRAYS[scalar] if is_sequence(annotation) else scalar
+    """Return the ROS parameter type of a field."""
+    item = element_type(field.annotation)
+    scalar = Type.STRING if choices_of(item) or is_config(item) else _SCALARS[item]
+    return _ARRAYS[scalar] if is_sequence(field.annotation) else scalar
 
 
 def from_ros(field: FieldInfo, value: Any, place: str = "") -> Any:
@@ -227,14 +192,9 @@ def to_ros(field: FieldInfo, value: Any) -> Any:
 
 def _scalar_to_ros(value: Any) -> Any:
     if isinstance(value, Config):
-        return _flow_mapping(value)
+        data = value.model_dump(mode="json")
+        return yaml.safe_dump(data, default_flow_style=True, sort_keys=False, width=10**9).strip()
     return value.value if isinstance(value, enum.Enum) else value
-
-
-def _flow_mapping(config: Config) -> str:
-    data = config.model_dump(mode="json")
-    text: str = yaml.safe_dump(data, default_flow_style=True, sort_keys=False, width=10**9)
-    return text.strip()
 
 
 def to_parameter(name: str, field: FieldInfo, value: Any) -> Parameter:

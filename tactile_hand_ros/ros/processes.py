@@ -14,7 +14,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from ament_index_python.packages import PackageNotFoundError, get_package_prefix
+from ament_index_python.packages import get_package_prefix
 
 from tactile_hand_ros.errors import TactileHandError
 
@@ -33,7 +33,7 @@ def executable_directory() -> Path:
     """
     try:
         prefix = get_package_prefix(PACKAGE)
-    except (PackageNotFoundError, LookupError, OSError) as error:  # OSError: there is no index
+    except (LookupError, OSError) as error:  # OSError: there is no index
         searched = os.environ.get("AMENT_PREFIX_PATH", "")
         raise ExecutableError(
             f"The ament index at AMENT_PREFIX_PATH='{searched}' has no {PACKAGE}:"
@@ -60,24 +60,21 @@ def child_environment() -> dict[str, str]:
     The executables start with ``#!/usr/bin/env python3``. Without an activated virtual environment
     they would find another Python.
     """
-    environment = dict(os.environ)
-    inherited = environment.get("PATH", os.defpath)
-    environment["PATH"] = os.pathsep.join([str(Path(sys.prefix, "bin")), inherited])
-    return environment
+    inherited = os.environ.get("PATH", os.defpath)
+    return {**os.environ, "PATH": os.pathsep.join([str(Path(sys.prefix, "bin")), inherited])}
 
 
 _POLL_SECONDS = 0.002
-_STOP_SECONDS = 5.0
 # Signals from soft to hard, with the time [s] until the next.
-_PATIENCE = ((signal.SIGINT, _STOP_SECONDS), (signal.SIGTERM, 2.0), (signal.SIGKILL, _STOP_SECONDS))
+_PATIENCE = ((signal.SIGINT, 5.0), (signal.SIGTERM, 2.0), (signal.SIGKILL, 5.0))
 _HAS_ENDED = os.WEXITED | os.WNOHANG | os.WNOWAIT
 
 
 def wait_until(condition: Callable[[], Any], timeout: float = 10.0, message: str = "") -> Any:
-    """Wait until a condition is true and return its value; `message` names it in the error.
+    """Wait up to `timeout` [s] until a condition is true and return its value.
 
     Raises:
-        TimeoutError: If the condition is still false after `timeout` [s].
+        TimeoutError: With the message, if it is still false.
     """
     deadline = time.monotonic() + timeout
     pause = threading.Event()  # signals do not interrupt its wait

@@ -8,9 +8,6 @@ from __future__ import annotations
 
 from rclpy.qos import QoSDurabilityPolicy, QoSProfile
 
-TICK_DEPTH = 100
-"""Messages kept per tick topic: 0.2 s at 500 Hz, more than any consumer may lag."""
-
 USER_DEPTH = 100
 """Messages kept of user commands and of topics that users must not miss."""
 
@@ -20,11 +17,11 @@ In lockstep all nodes wait for each other, but none waits for the recorder."""
 
 
 def tick_qos() -> QoSProfile:
-    """Return the profile of tick messages: reliable, deep, volatile.
+    """Return the profile of tick messages: 0.2 s at 500 Hz, more than any consumer may lag.
 
     Each call returns a new object, because rclpy writes QoS overrides into the given profile.
     """
-    return QoSProfile(depth=TICK_DEPTH)
+    return QoSProfile(depth=100)
 
 
 def tick_publisher_qos() -> QoSProfile:

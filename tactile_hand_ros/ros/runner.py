@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import argparse
 import gc
 import os
 import signal
@@ -19,11 +20,9 @@ from rclpy.utilities import remove_ros_args
 from tactile_hand_ros.errors import ConfigurationError, TactileHandError
 from tactile_hand_ros.ros.executor import spin
 from tactile_hand_ros.ros.middleware import use_sockets
-from tactile_hand_ros.ros.scheduling import USAGE, raise_priority, take_priority
+from tactile_hand_ros.ros.scheduling import PRIORITY, parse_priority, raise_priority
 
-EXIT_OK = 0
-EXIT_FAILED = 1
-EXIT_REFUSED = 2
+EXIT_OK, EXIT_FAILED, EXIT_REFUSED = 0, 1, 2
 
 
 def run_node(node: Callable[[], Node], args: Sequence[str] | None = None) -> int:
@@ -43,8 +42,7 @@ def run_nodes(
 
     Args:
         make: Creates the nodes, one after the other.
-        args: Command line with program name, by default ``sys.argv``. Besides ROS arguments it may
-            contain the option of `scheduling`.
+        args: Command line with program name, by default ``sys.argv``.
         described: Objects whose docstrings ``--help`` prints.
 
     Returns:
@@ -106,12 +104,8 @@ def _let_signals_shut_down() -> None:
     signal.signal(signal.SIGINT, _note_signal)
     signal.signal(signal.SIGTERM, _note_signal)
     if signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:  # ignored under nohup
-        signal.signal(signal.SIGHUP, _terminate)
-
-
-def _terminate(number: int, frame: FrameType | None) -> None:
-    """Stop as after SIGTERM, which rclpy handles, because the terminal was closed."""
-    os.kill(os.getpid(), signal.SIGTERM)
+        # A closed terminal stops the nodes as SIGTERM does, which rclpy handles.
+        signal.signal(signal.SIGHUP, lambda *_: os.kill(os.getpid(), signal.SIGTERM))
 
 
 def _ignore_signals() -> None:
@@ -133,32 +127,26 @@ def _init(line: list[str], described: Sequence[Callable[..., Any]]) -> int:
     """Initialize rclpy and return the requested priority.
 
     Raises:
-        ConfigurationError: If the command line or a parameter file is invalid.
+        ConfigurationError: If the ROS arguments, a parameter file or the priority is invalid.
+        SystemExit: After ``--help``, or for an unknown argument.
     """
+    parser = argparse.ArgumentParser(
+        usage="%(prog)s [-h] [--priority N] [--ros-args -p name:=value --params-file FILE ...]",
+        description="\n\n".join([(each.__doc__ or "").strip() for each in described]),
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    how = "run under SCHED_FIFO, 1 to 99"
+    parser.add_argument(PRIORITY, type=parse_priority, default=0, metavar="N", help=how)
     use_sockets()
     try:
-        priority, extra = take_priority(remove_ros_args(args=line)[1:])
+        options = parser.parse_args(remove_ros_args(args=line)[1:])
         rclpy.init(args=line)
         if _was_signalled:  # before rclpy handles signals
             raise KeyboardInterrupt
     except RuntimeError as error:
         reason = str(error).split(", at ")[0].removeprefix("failed to initialize rcl: ")
         raise ConfigurationError(f"the ROS arguments cannot be used: {reason}.") from None
-    if extra and extra[0] in ("-h", "--help"):
-        print(_help(described))
-        raise SystemExit(EXIT_OK)
-    if extra:
-        raise ConfigurationError(
-            f"unknown argument '{extra[0]}', expected {USAGE} or ROS arguments"
-            " such as --ros-args -p name:=value or --params-file FILE."
-        )
-    return priority
-
-
-def _help(described: Sequence[Callable[..., Any]]) -> str:
-    texts = [(factory.__doc__ or "").strip() for factory in described]
-    usage = "ROS arguments: --ros-args -p name:=value -r from:=to --params-file FILE"
-    return "\n\n".join([*texts, f"Arguments: {USAGE}", usage])
+    return int(options.priority)
 
 
 def _stop(nodes: Sequence[Node], code: int) -> int:

@@ -9,20 +9,14 @@ from __future__ import annotations
 
 import contextlib
 import os
-from collections.abc import Sequence
 from pathlib import Path
 
 from tactile_hand_ros.errors import ConfigurationError
 from tactile_hand_ros.ros.diagnostics import WARN, Diagnostics
 
 PRIORITY = "--priority"
-USAGE = f"{PRIORITY} N (SCHED_FIFO, 1 to 99)"
 
-_POLICIES = {
-    number: name
-    for name in ("SCHED_OTHER", "SCHED_FIFO", "SCHED_RR", "SCHED_BATCH", "SCHED_IDLE")
-    if (number := getattr(os, name, None)) is not None
-}
+_POLICIES = {0: "SCHED_OTHER", os.SCHED_FIFO: "SCHED_FIFO", os.SCHED_RR: "SCHED_RR"}
 _HIGHEST = 99
 _RESENDING = "dds.asyn"
 """Name prefix of the Fast DDS threads that resend lost messages."""
@@ -55,34 +49,17 @@ def yield_while_resending() -> None:
     of equal priority do not preempt each other, so two of them block two processors for good.
     """
     for thread in _threads():
-        with contextlib.suppress(OSError):  # it has ended, or was never real-time
-            is_real_time = os.sched_getscheduler(thread) == os.SCHED_FIFO
-            if is_real_time and _thread_name(thread).startswith(_RESENDING):
+        with contextlib.suppress(OSError):  # it has ended
+            name = Path(f"/proc/self/task/{thread}/comm").read_text(encoding="utf-8")
+            if name.startswith(_RESENDING) and os.sched_getscheduler(thread) == os.SCHED_FIFO:
                 os.sched_setscheduler(thread, os.SCHED_FIFO, os.sched_param(1))
 
 
-def take_priority(words: Sequence[str]) -> tuple[int, list[str]]:
-    """Parse the option; return the priority, 0 without it, and the other arguments.
-
-    Raises:
-        ConfigurationError: If the value is missing or not allowed.
-    """
-    left, text = [], "0"
-    rest = iter(words)
-    for word in rest:
-        name, equals, value = word.partition("=")
-        if name == PRIORITY:
-            text = value if equals else next(rest, "")
-        else:
-            left.append(word)
-    return parse_priority(text), left
-
-
 def parse_priority(text: str) -> int:
-    """Parse a priority.
+    """Return a priority from 0 to 99.
 
     Raises:
-        ConfigurationError: If it is not an integer from 0 to 99.
+        ConfigurationError: If it is anything else.
     """
     if not text.isdecimal() or int(text) > _HIGHEST:
         raise ConfigurationError(
@@ -103,7 +80,3 @@ def report_scheduling(diagnostics: Diagnostics) -> None:
 def _threads() -> list[int]:
     """Return the ids of all threads of this process, including those of libraries."""
     return [int(name) for name in os.listdir("/proc/self/task")]
-
-
-def _thread_name(thread: int) -> str:
-    return Path(f"/proc/self/task/{thread}/comm").read_text(encoding="utf-8")

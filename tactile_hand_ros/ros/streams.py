@@ -19,11 +19,9 @@ Decode = Callable[[bytes], tuple[int, Any]]
 
 @dataclass(frozen=True)
 class Stream:
-    """One input of a node: a topic, or one topic per finger.
+    """One input of a node: topics of one type, each with its decoder.
 
     Attributes:
-        message_type: Message class of the topics.
-        decoders: Decoder of each topic, by relative name.
         per_finger: Whether the values of the topics form one array, with a row per finger.
         from_driver: Whether a driver may publish it, so that users may override its QoS.
     """

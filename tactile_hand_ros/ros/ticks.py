@@ -26,12 +26,11 @@ _HIGHEST = 64  # rank of the first tick
 
 
 class StampMatcher:
-    """Collects one value per key and timestamp, and returns the values of a complete timestamp.
+    """Collects one value per key and timestamp, and returns complete sets in order of timestamps.
 
-    Complete sets are returned in the order of their timestamps. An incomplete set is dropped when a
-    newer one is complete. A complete set at timestamp 0, or more than a second before the last one,
-    means that the senders have restarted; all other sets are then dropped. A single old message has
-    no effect.
+    An incomplete set is dropped when a newer one is complete. A complete set at timestamp 0, or
+    more than a second before the last one, means that the senders have restarted; all other sets
+    are then dropped. A single old message has no effect.
 
     Attributes:
         keys: One key per stream.
@@ -49,8 +48,7 @@ class StampMatcher:
     def put(self, key: str, stamp_ns: int, value: Any) -> tuple[Any, ...] | None:
         """Add a value of a tick [ns], replacing an earlier one.
 
-        Returns:
-            All values of the tick in the order of the keys if it is now complete, else None.
+        Return all values of the tick in the order of the keys if it is now complete, else None.
         """
         last = self.last
         if stamp_ns == last or self.lateness(stamp_ns):
@@ -85,9 +83,7 @@ class StampMatcher:
 
 
 _NUMBER = "publication_sequence_number"
-
-_LASTING = 0.5
-"""Time after which a drop of the sequence numbers, or a conflict, is forgotten [s]."""
+_LASTING = 0.5  # s, after which a drop of the sequence numbers, or a conflict, is forgotten
 
 
 def two_senders(topic: str) -> str:
@@ -136,13 +132,6 @@ class SenderCheck:
         return self._found is not None and self._clock() - self._found < _LASTING
 
 
-def rank(stamp_ns: int, previous_ns: int | None) -> int:
-    """Return the rank of a tick [ns], given the previous one; the first has the highest rank."""
-    if previous_ns is None:
-        return _HIGHEST
-    return (stamp_ns // _MILLISECOND ^ previous_ns // _MILLISECOND).bit_length() - 1
-
-
 def chosen(stamps: Sequence[int], previous: int | None) -> list[int]:
     """Return which of several complete ticks [ns], oldest first, to answer; the others are skipped.
 
@@ -154,14 +143,14 @@ def chosen(stamps: Sequence[int], previous: int | None) -> list[int]:
     tick comes at least 2^n ms minus one period later, so a node that lags less does not skip it.
     All nodes therefore regularly answer the same ticks, regardless of their lag.
     """
-    ranks = [
-        rank(stamp, before) for stamp, before in zip(stamps, [previous, *stamps], strict=False)
-    ]
     kept: list[int] = []
     highest = -1
-    for stamp, own in zip(reversed(stamps), reversed(ranks), strict=True):
-        if own >= highest:
-            highest = own
+    for stamp, before in reversed(list(zip(stamps, [previous, *stamps], strict=False))):
+        rank = _HIGHEST
+        if before is not None:
+            rank = (stamp // _MILLISECOND ^ before // _MILLISECOND).bit_length() - 1
+        if rank >= highest:
+            highest = rank
             kept.append(stamp)
     return kept[::-1]
 
@@ -193,18 +182,17 @@ class TickInputs:
         observe: Callable[..., None] | None = None,
         clock: Callable[[], int] = time.monotonic_ns,
     ) -> None:
-        """Create the subscriptions.
+        """Create the subscriptions; the first stream is the trigger and has one topic.
 
         Args:
             node: Node that subscribes and reports.
-            streams: Streams of a tick; the first is the trigger and has one topic.
+            streams: Streams of a tick.
             listener: Usually the node. Has `on_tick(stamp, *values)` to answer a tick [ns],
-                `on_repeat()` to publish the last answer again, `on_restart()` for timestamps that
-                start over and, with `silence`, `on_blind_tick(stamp, trigger, reason)` to answer
-                the first stream alone.
+                `on_repeat()`, `on_restart()` for timestamps that start over and, with `silence`,
+                `on_blind_tick(stamp, trigger, reason)`.
             silence: Timeout of missing inputs [s]; None never passes on an incomplete tick.
-            observe: Called like `on_tick`, in order, for each skipped tick: for a node that must
-                process every sample although it answers only the newest.
+            observe: Called like `on_tick`, in order, for each skipped tick, for a node that must
+                process every sample.
             clock: Wall clock [ns].
         """
         self._node, self._listener, self._observe = node, listener, observe
@@ -327,14 +315,8 @@ class TickInputs:
 
     def _values(self, matched: tuple[Any, ...]) -> list[Any]:
         """Return one value per stream."""
-        values: list[Any] = []
-        at = 0
-        for stream in self._streams:
-            if stream.per_finger:
-                count = len(stream.decoders)
-                values.append(np.array(matched[at : at + count]))
-                at += count
-            else:
-                values.append(matched[at])
-                at += 1
-        return values
+        given = iter(matched)
+        return [
+            np.array([next(given) for _ in stream.decoders]) if stream.per_finger else next(given)
+            for stream in self._streams
+        ]

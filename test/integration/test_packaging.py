@@ -62,11 +62,6 @@ def installed_config(share: Path) -> list[Path]:
     )
 
 
-def source_config() -> list[Path]:
-    """List the configuration files of the tree."""
-    return installed_config(ROOT)
-
-
 class TestPip:
     """The environment that runs these tests, as `make test` has built it."""
 
@@ -75,7 +70,7 @@ class TestPip:
         share = Path(get_package_share_directory(PACKAGE))
         assert share == prefix / "share" / PACKAGE
         assert (share / "package.xml").read_bytes() == (ROOT / "package.xml").read_bytes()
-        assert installed_config(share) == source_config()
+        assert installed_config(share) == installed_config(ROOT)
         assert (share / "launch" / "tactile_hand.launch.py").is_file()
 
     def test_executables_are_those_of_the_contract(self):
@@ -126,7 +121,7 @@ class TestColcon:
         assert runnable == sorted([*EXECUTABLES, "tactile-hand"])
         share = workspace / "install" / PACKAGE / "share" / PACKAGE
         assert (share / "package.xml").is_file()
-        assert installed_config(share) == source_config()
+        assert installed_config(share) == installed_config(ROOT)
 
     def test_sourced_workspace_is_found_by_ament(self, workspace):
         code = (

@@ -171,8 +171,7 @@ class Graph:
         )
         wanted.update(each.topic_name for each in self.node.subscriptions)
         ends = [self._ends(self.full(name), PUBLICATIONS) for name in NODES]
-        shared = (names.DIAGNOSTICS, *names.OF_ALL_NODES)
-        found = {topic: n for each in ends for topic, n in each.items() if topic not in shared}
+        found = {topic: n for end in ends for topic, n in end.items() if topic not in names.OF_ALL}
         return all(ends) and all(count == wanted[topic] for topic, count in found.items())
 
     def _ends(self, name: str, end: str) -> dict[str, int]:

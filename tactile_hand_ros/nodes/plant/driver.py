@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping
-from types import MappingProxyType
 from typing import Any, Protocol
 
 from geometry_msgs.msg import PoseStamped
@@ -45,8 +44,6 @@ class InProcessHand(Protocol):
 
 CONFLICT = two_senders(names.JOINT_COMMAND)
 _LEFT = f"no {names.JOINT_COMMAND} since there were two senders of it"
-
-NO_INFO: Mapping[str, Any] = MappingProxyType({})
 
 _TURN = 0.005
 """Time to run ticks before messages and services are served [s]."""
@@ -99,7 +96,7 @@ class PlantTopics:
 
 
 class PlantDriver:
-    """Drives a run of the plant.
+    """Drives a run of the plant, by commands or by a hand in this process.
 
     The first tick waits for its command, because without one the hand would open and drop the
     object. The tick is sent again after each short silence. In lockstep every tick waits like this.
@@ -107,11 +104,8 @@ class PlantDriver:
     In real time the last command acts until a newer one comes, or until the guard finds it too old.
     While there are two senders, the joints are held.
 
-    With a hand in the same process, its answer is the command of the tick. A missing answer counts
-    as silence of the controller.
-
-    Attributes:
-        hand: A hand in this process that answers the ticks; None if commands are received.
+    The answer of a `hand` in this process is the command of the tick. A missing one counts as
+    silence of the controller.
     """
 
     def __init__(self, node: TactileNode[PlantConfig], run: PlantRun) -> None:
@@ -206,8 +200,11 @@ class PlantDriver:
             self.hand.on_restart()
         self.begin()
 
-    def command(self, stamp: int, torque: Array, info: Mapping[str, Any] = NO_INFO) -> None:
-        """Apply the torque, shape (m,), N m, that answers a tick [ns]; ignore late commands."""
+    def command(self, stamp: int, torque: Array, info: Mapping[str, Any]) -> None:
+        """Apply the torque, shape (m,), N m, that answers a tick [ns]; ignore late commands.
+
+        The middleware's info on a received command shows whether there are two senders.
+        """
         run = self._run
         self._note_answer(stamp)
         contested = self._senders.note(info)
@@ -283,7 +280,10 @@ class PlantDriver:
             if self._run.is_last:
                 if done:
                     self._publish()
-                self._finish()
+                self._is_finished = True
+                self._let_time_pass(False)
+                self._modes.note(self.mode)
+                self._announce(f"finished at {1e-9 * self._run.stamp:g} s", OK)
                 return
             try:
                 self._run.advance()
@@ -320,7 +320,7 @@ class PlantDriver:
     def _take_answer(self) -> None:
         if self._torque is not None:
             torque, self._torque = self._torque, None
-            self.command(self._run.stamp, torque)
+            self.command(self._run.stamp, torque, {})
 
     def work(self) -> bool:
         """Run ticks of a hand in this process for a moment; return whether more are ready."""
@@ -328,12 +328,6 @@ class PlantDriver:
         while self._torque is not None and time.monotonic() < end:
             self._take_answer()
         return self._torque is not None
-
-    def _finish(self) -> None:
-        self._is_finished = True
-        self._let_time_pass(False)
-        self._modes.note(self.mode)
-        self._announce(f"finished at {1e-9 * self._run.stamp:g} s", OK)
 
     def _announce(self, text: str, level: bytes) -> None:
         """Publish a state immediately."""
@@ -390,4 +384,6 @@ class PlantDriver:
             put(f"holds: {reason}", count)
         put("too_old_commands", self._too_old)
         put("conflicting_commands", self._senders.conflicts)
-        self._pace.report(put)
+        put("late_commands", self._pace.late)
+        put("missed_ticks", self._pace.skipped)
+        put("lost_s", 1e-9 * self._pace.lost_ns)

@@ -51,8 +51,7 @@ class PlantNode(TactileNode[PlantConfig]):
     about the object's center of mass, N and N m; ends 0.2 s after its stamp).
 
     Services: `~/run` (std_srvs/SetBool) continues and pauses, `~/step` (std_srvs/Trigger) advances
-    a paused run by one tick, `~/reset` (std_srvs/Trigger) goes
-    back to the start at stamp 0.
+    a paused run by one tick, `~/reset` (std_srvs/Trigger) goes back to the start at stamp 0.
 
     Parameters: the fields of `PlantConfig`; `object.friction`, `object.mass`, `palm_turn` and
     `speed` are live.
@@ -63,9 +62,6 @@ class PlantNode(TactileNode[PlantConfig]):
 
         With `composed`, a hand in this process is passed to `begin` and answers the ticks, and no
         commands are received.
-
-        Raises:
-            TactileHandError: If a parameter is rejected or hand or object cannot be built.
         """
         super().__init__("plant", PlantConfig, **kwargs)
         self._run = PlantRun(self.config)
@@ -103,11 +99,7 @@ class PlantNode(TactileNode[PlantConfig]):
         self._driver.report(put)
         put("touching", int(state.contacts.touching.sum()))
         put("required_friction", float(np.max(required_friction(state.forces), initial=0.0)))
-        self._report_contact_laws()
-
-    def _report_contact_laws(self) -> None:
-        """Report the residuals of the contact laws, and warn of steps that violate them."""
-        put, plant = self.diagnostics.value, self._run.plant
+        plant = self._run.plant
         put("contact_residual", plant.contact_residual)
         put("relaxed_steps", plant.relaxed_steps)
         put("unsolved_steps", plant.unsolved_steps)

@@ -17,8 +17,8 @@ class Pace:
     if a later tick is due at the same call.
 
     Attributes:
-        late: Number of ticks whose command was late or never came.
-        skipped: Number of ticks that no node received, because a later one was due too.
+        late: Number of late ticks.
+        skipped: Number of skipped ticks.
         lost_ns: Wall time dropped because the machine was too slow [ns].
     """
 
@@ -59,12 +59,6 @@ class Pace:
         """Record that the command for the newest tick has arrived."""
         self.late += self._awaits_command and self._clock() > self._due_at
         self._awaits_command = False
-
-    def report(self, put: Callable[[str, object], None]) -> None:
-        """Report the counters by key."""
-        put("late_commands", self.late)
-        put("missed_ticks", self.skipped)
-        put("lost_s", 1e-9 * self.lost_ns)
 
 
 class Brake:

@@ -43,9 +43,7 @@ class RecorderConfig(Config):
     """Configuration of the recorder."""
 
     output: str = param(
-        ...,
-        "rosbag2 folder to create; it must not exist, its parents may",
-        min_length=1,
+        ..., "rosbag2 folder to create; it must not exist, its parents may", min_length=1
     )
     topics: list[str] = param(
         [".*"], "regular expressions; a topic is recorded if one matches its whole name"

@@ -48,13 +48,10 @@ class RecorderNode(TactileNode[RecorderConfig]):
     def __init__(self, local_publishers: Sequence[TickPublisher] = (), **kwargs: Any) -> None:
         """Create the bag and start.
 
-        Args:
-            local_publishers: Publishers of a hand in the same process, recorded without a
-                subscription. That hand continues if the bag cannot be written.
-            **kwargs: For `rclpy.node.Node`.
+        The publishers are those of a hand in the same process. They are recorded without a
+        subscription, and that hand continues if the bag cannot be written.
 
         Raises:
-            ConfigurationError: If a parameter is rejected.
             BagError: If the bag cannot be created.
         """
         super().__init__("recorder", RecorderConfig, **kwargs)

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 
 from rclpy.exceptions import InvalidHandle
 from rclpy.node import Node
@@ -76,7 +76,7 @@ class RawTopic:
         self.publishers = len(publishers)
         self._qos = adapted_qos(publishers, depth)
         self._subscription = self._subscribe()
-        self._losses = LossCounter(lambda: _ids(publishers_of(node, name)), self._forgiving_until)
+        self._losses = LossCounter(self._publisher_ids, self._forgiving_until)
 
     @property
     def lost(self) -> int:
@@ -85,27 +85,28 @@ class RawTopic:
 
     @property
     def _forgiving_until(self) -> float:
-        """Infinity for latched topics: late subscribers get only the last messages, by design."""
+        """Infinity for latched topics, whose late subscribers get only the last messages."""
         is_latched = self._qos.durability == DurabilityPolicy.TRANSIENT_LOCAL
         return math.inf if is_latched else time.monotonic() + _DISCOVERY
 
     def drain(self, sink: Sink) -> int:
         """Pass all waiting messages to `sink` and return their number."""
-        count = 0
-        for data, received, sent in self._take():
-            sink(self, data, received, sent)
-            count += 1
-        return count
+        before = self.received
+        for data, info in taken(self._subscription, self._qos.depth):
+            self.received += 1
+            number = info["publication_sequence_number"]
+            if number is not None:
+                self._losses.note(number)
+            received = info["received_timestamp"] or time.time_ns()
+            sink(self, data, received, info["source_timestamp"] or received)
+        return self.received - before
 
     def adapt(self, sink: Sink) -> bool:
-        """Subscribe again if the current subscription does not match all publishers.
+        """Subscribe again if needed to match all publishers; return whether their number changed.
 
         An unchanged number of publishers is not enough: a replacement with a weaker quality of
         service does not match. A latched topic is subscribed again only before its first message;
         later, its publishers' histories would arrive twice.
-
-        Returns:
-            Whether the number of publishers has changed.
         """
         before, count = self.publishers, self._node.count_publishers(self.name)
         if count == before == self._subscription.get_publisher_count():
@@ -127,18 +128,11 @@ class RawTopic:
         """Unsubscribe."""
         self._node.destroy_subscription(self._subscription)
 
+    def _publisher_ids(self) -> set[bytes]:
+        return {bytes(each.endpoint_gid) for each in publishers_of(self._node, self.name)}
+
     def _subscribe(self) -> Subscription:
         return subscribe_directly(self._node, self._class, self.name, self._qos)
-
-    def _take(self) -> Iterator[tuple[bytes, int, int]]:
-        """Yield data, reception time and publication time [ns] of the waiting messages."""
-        for data, info in taken(self._subscription, self._qos.depth):
-            self.received += 1
-            number = info["publication_sequence_number"]
-            if number is not None:
-                self._losses.note(number)
-            received = info["received_timestamp"] or time.time_ns()
-            yield data, received, info["source_timestamp"] or received
 
 
 class LossCounter:
@@ -175,10 +169,6 @@ class LossCounter:
         elif sender not in self._older and time.monotonic() >= self.forgiving_until:
             self.count += number - 1
         self._sender = sender
-
-
-def _ids(publishers: Sequence[TopicEndpointInfo]) -> set[bytes]:
-    return {bytes(publisher.endpoint_gid) for publisher in publishers}
 
 
 def _is_weaker(new: QoSProfile, old: QoSProfile) -> bool:

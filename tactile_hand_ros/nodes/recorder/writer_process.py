@@ -48,6 +48,7 @@ class WriterProcess:
     """Writes serialized messages to a new bag, as `BagWriter` does, without waiting for it.
 
     Attributes:
+        process: The writing process.
         folder: Folder of the bag.
         custom_data: Texts for the bag's metadata; may be changed until `close`.
         message_count: Number of messages accepted so far.
@@ -58,15 +59,15 @@ class WriterProcess:
 
     def __init__(self, folder: Path, **options: Any) -> None:
         """Start the process, with options for `BagWriter`; `check` raises if it has no bag."""
-        self._process = subprocess.Popen(
+        self.process = subprocess.Popen(
             [sys.executable, "-c", _PROGRAM],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             start_new_session=True,  # Ctrl-C must not stop it
         )
-        assert self._process.stdin is not None and self._process.stdout is not None
-        self._replies = self._process.stdout
-        self._pipe = self._process.stdin.fileno()
+        assert self.process.stdin is not None and self.process.stdout is not None
+        self._replies = self.process.stdout
+        self._pipe = self.process.stdin.fileno()
         fcntl.fcntl(self._pipe, fcntl.F_SETPIPE_SZ, _PIPE_SIZE)
         os.set_blocking(self._pipe, False)
         self._messages: list[Message] = []
@@ -79,11 +80,6 @@ class WriterProcess:
         self.is_open = True
         self._order("start", folder=folder, **options)
         self.send()
-
-    @property
-    def process_id(self) -> int:
-        """The process id."""
-        return self._process.pid
 
     def check(self) -> None:
         """Wait for the bag.
@@ -143,10 +139,10 @@ class WriterProcess:
         self.is_open = False
         os.set_blocking(self._pipe, True)
         self.send()
-        if self._process.wait():
+        if self.process.wait():
             raise self._error()
-        assert self._process.stdin is not None
-        self._process.stdin.close()
+        assert self.process.stdin is not None
+        self.process.stdin.close()
         self._replies.close()
 
     def _order(self, order: str, /, **arguments: Any) -> None:

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray
-from geometry_msgs.msg import PoseArray, PoseStamped, WrenchStamped
+from geometry_msgs.msg import PoseStamped, WrenchStamped
 from rcl_interfaces.msg import ParameterEvent
 from rclpy.parameter import Parameter
 from rclpy.serialization import deserialize_message, serialize_message
@@ -15,7 +15,6 @@ from std_msgs.msg import Bool, Float64, String
 from std_srvs.srv import SetBool, Trigger
 from support.messages import pose_message
 from support.nodes import counts, facts, tapped
-from support.spinning import spinning
 
 from tactile_hand_ros import names
 from tactile_hand_ros.control import controller, sensing
@@ -29,7 +28,6 @@ from tactile_hand_ros.ros import qos
 from tactile_hand_ros.ros.diagnostics import OK, WARN
 from tactile_hand_ros.ros.endpoints import TickFailedError
 from tactile_hand_ros.ros.messages import (
-    ContactsCodec,
     JointCodec,
     Joints,
     WrenchCodec,
@@ -269,6 +267,8 @@ def test_a_torque_beyond_the_effort_limits_is_cut_off_with_a_warning(here):
     assert (np.abs(command.torque) <= limits).all()
     assert command.do_not_send or level(node)[0] == WARN
     assert (np.abs(torque(sent)[1]) <= limits).all()
+    tick(node, 2 * TICK)
+    assert "fault torque" not in facts(node)
 
 
 def test_code_is_loaded_before_the_first_tick(here, monkeypatch):
@@ -303,8 +303,10 @@ def test_a_tick_that_fails_is_answered_with_a_hold(here, monkeypatch):
 
 
 def test_an_answer_that_is_better_not_sent_is_sent_when_time_waits_for_it(here):
+    """That touch is rejected is published when it begins and when it ends."""
     node = here.make(ManipulationControllerNode)
     sent = tapped(node)
+    here.receive(String, names.TOUCH_REJECTED, qos.latched_qos(10))
     for stamp in range(3):
         tick(node, stamp * TICK)
     command = tick(node, 3 * TICK, contacts=ODD)
@@ -315,6 +317,9 @@ def test_an_answer_that_is_better_not_sent_is_sent_when_time_waits_for_it(here):
     np.testing.assert_array_equal(torque(sent)[1], command.torque)
     assert not tick(node, 4 * TICK, contacts=ODD).do_not_send
     assert torque(sent)[0] == 4 * TICK
+    tick(node, 5 * TICK)
+    told = [message.data for message in here.messages(names.TOUCH_REJECTED, 3)]
+    assert told == ["", ", ".join(HAND.finger_names), ""]
 
 
 def test_where_time_is_known_to_wait_every_answer_is_sent(here):
@@ -429,24 +434,6 @@ def test_ticks_that_start_over_forget_all_poses_but_those_sent_meanwhile(here):
     assert [stamp_to_ns(each.header.stamp) for each in poses] == [2 * TICK, 0]
 
 
-def test_who_has_fallen_behind_answers_the_newest_tick_and_the_roundest(here):
-    node = ForceOptimizerNode(context=here.context)
-    contacts, answered = names.CONTACTS, names.optimal_force(HAND.finger_names[-1])
-    here.receive(WrenchStamped, answered)
-    publisher = here.user.create_publisher(PoseArray, contacts, qos.tick_qos())
-    here.wait(lambda: publisher.get_subscription_count() == 1)
-    here.wait(lambda: node.peers()[f"publications /{answered}"] == 1, "the reader")
-    encode, reading = ContactsCodec(3).encode, STATE.touch
-    for number in range(1000, 1041):
-        publisher.publish(encode(reading.positions, reading.quaternions, number * TICK))
-    assert publisher.wait_for_all_acked()
-    with spinning(node):
-        found = [stamp_to_ns(m.header.stamp) // TICK for m in here.messages(answered, 3)]
-    assert found == [1000, 1024, 1040]  # the first of all, of 2048 ms, and the newest
-    assert facts(node)["ticks_left_out"] == "38"
-    node.destroy_node()
-
-
 def test_a_minimum_that_exceeds_the_grasp_force_is_refused_and_changes_nothing(here):
     node = here.make(ForceOptimizerNode, minimum_normal=0.1)
 
@@ -488,26 +475,11 @@ def test_services_change_the_controller_and_report_the_result(here):
     assert ("grasp", "false") in found and found[-1] == ("reset", "")
 
 
-def test_that_touch_is_rejected_is_published_when_it_begins_and_when_it_ends(here):
-    node = here.make(ManipulationControllerNode)
-    here.receive(String, names.TOUCH_REJECTED, qos.latched_qos(10))
-    every = ", ".join(HAND.finger_names)
-    stamps = iter(range(0, 10 * TICK, TICK))
-    for expected, changes in ([""], {}), (["", every], {"contacts": ODD}):
-        for _ in range(2):
-            tick(node, next(stamps), **changes)
-        found = here.messages(names.TOUCH_REJECTED, len(expected))
-        assert [message.data for message in found] == expected
-    tick(node, next(stamps))
-    assert not here.messages(names.TOUCH_REJECTED, 3)[-1].data
-
-
 def test_forces_are_not_observed_where_the_controller_does_not_receive_them(here):
-    node = here.make(ManipulationControllerNode, composed=False, **{"law.observer.time": 0.0})
-    (result,) = node.set_parameters([Parameter("law.observer.time", value=0.25)])
-    assert not result.successful and "does not subscribe to forces" in result.reason
-    assert (
-        here.make(ManipulationControllerNode)
-        .set_parameters([Parameter("law.observer.time", value=0.25)])[0]
-        .successful
-    )
+    for composed in (False, True):
+        node = here.make(
+            ManipulationControllerNode, composed=composed, **{"law.observer.time": 0.0}
+        )
+        (result,) = node.set_parameters([Parameter("law.observer.time", value=0.25)])
+        assert result.successful == composed
+        assert ("does not subscribe to forces" in result.reason) != composed

@@ -4,8 +4,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, Literal
 
 import numpy as np
 import pytest
@@ -86,24 +86,23 @@ def test_f_outside_the_usable_cones_at_most_ticks_is_told_with_the_worst_margin(
         assert (f"margin {depth:.3g} per unit" in status.message) == warns
 
 
-@dataclass
-class Regulator:
-    """The parts of a regulator that the report reads."""
+def made(mode: Literal["user", "shared", "auto"], needed: float = 5.0) -> Any:
+    """Return the parts of a regulator that the report reads."""
+    return SimpleNamespace(
+        config=SlipRegulatorConfig(mode=mode, maximum=30.0),
+        needed=needed,
+        grasp_force=8.0,
+        learned_friction=np.array([0.4, 0.5, 0.6]),
+        slip_likelihood=np.array([0.1, 0.2, 0.3]),
+        state=np.zeros(3, dtype=int),
+    )
 
-    config: SlipRegulatorConfig
-    needed: float = 5.0
-    grasp_force: float = 8.0
-    learned_friction: Any = field(default_factory=lambda: np.array([0.4, 0.5, 0.6]))
-    state: Any = field(default_factory=lambda: np.zeros(3, dtype=int))
-    slip_likelihood: Any = field(default_factory=lambda: np.array([0.1, 0.2, 0.3]))
 
-
-def noted(report: RegulatorReport, regulator: Regulator, *grips: tuple[int, int, int]) -> None:
+def noted(report: RegulatorReport, regulator: Any, *grips: tuple[int, int, int]) -> None:
     for number, grip in enumerate(grips):
-        friction, evidence = regulator.learned_friction, regulator.slip_likelihood
         regulator.state = np.array(grip)
-        state = GripState(friction, evidence, np.array(grip))
-        report.note(regulator, 2_000_000 * number, CONTACTS, np.ones((3, 3)), state)  # type: ignore[arg-type]
+        state = GripState.of(regulator)
+        report.note(regulator, 2_000_000 * number, CONTACTS, np.ones((3, 3)), state)
 
 
 STUCK = (ContactState.STICK, ContactState.STICK, ContactState.STICK)
@@ -112,7 +111,7 @@ STUCK = (ContactState.STICK, ContactState.STICK, ContactState.STICK)
 def test_facts_are_those_of_the_last_tick():
     diagnostics = Diagnostics("node")
     report = RegulatorReport(diagnostics, ["a", "b", "c"])
-    regulator = Regulator(SlipRegulatorConfig(mode="auto"))
+    regulator = made("auto")
     slip = int(ContactState.SLIP)
     noted(report, regulator, STUCK, (slip, 1, 0))
     report.report(regulator)
@@ -137,7 +136,7 @@ def test_facts_are_those_of_the_last_tick():
 def test_a_grasp_force_that_cannot_hold_is_a_warning(mode, needed, limit, shape):
     diagnostics = Diagnostics("node")
     report = RegulatorReport(diagnostics, ["a", "b", "c"])
-    regulator = Regulator(SlipRegulatorConfig(mode=mode, maximum=30.0), needed)
+    regulator = made(mode, needed)
     noted(report, regulator, STUCK, STUCK)
     report.report(regulator)
     shown = values(diagnostics)
@@ -154,7 +153,7 @@ def test_a_grasp_force_that_cannot_hold_is_a_warning(mode, needed, limit, shape)
 def test_the_largest_required_grasp_force_is_reported_once():
     diagnostics = Diagnostics("node")
     report = RegulatorReport(diagnostics, ["a", "b", "c"])
-    regulator = Regulator(SlipRegulatorConfig(mode="auto", maximum=30.0))
+    regulator = made("auto")
     for squeezes, told in (((90.0, 40.0), "90 N"), ((40.0, math.inf, 50.0), "50 N")):
         for regulator.needed in squeezes:
             noted(report, regulator, STUCK)
@@ -162,22 +161,12 @@ def test_the_largest_required_grasp_force_is_reported_once():
         assert f"needs a grasp force of {told}" in values(diagnostics)["fault limit"]
 
 
-class ControllerNode:
-    """The parts of a node that its report reads."""
-
-    def __init__(self) -> None:
-        self.diagnostics = Diagnostics("controller")
-        self.lines: list[str] = []
-        self.rejected: list[tuple[str, str]] = []
-
-    def get_logger(self) -> ControllerNode:
-        return self
-
-    def info(self, line: str) -> None:
-        self.lines.append(line)
-
-    def reject(self, topic: str, reason: str) -> None:
-        self.rejected.append((topic, reason))
+def controller_node() -> Any:
+    """Return the parts of a node that its report reads, with lists of what it is told."""
+    made = SimpleNamespace(diagnostics=Diagnostics("controller"), lines=[], rejected=[])
+    made.get_logger = lambda: SimpleNamespace(info=made.lines.append)
+    made.reject = lambda *rejection: made.rejected.append(rejection)
+    return made
 
 
 def command(mode: Mode, reason: str = "", pose: AuxiliaryPose | None = None) -> Command:
@@ -185,7 +174,7 @@ def command(mode: Mode, reason: str = "", pose: AuxiliaryPose | None = None) -> 
 
 
 def test_each_change_of_mode_is_a_line_and_a_hold_a_fault_while_it_lasts():
-    node, state = ControllerNode(), plant().state
+    node, state = controller_node(), plant().state
     report = ControllerReport(node, plant().hand)
     for said, level, contacts in (
         (command(Mode.DRIVE), OK, state.contacts),
@@ -228,7 +217,7 @@ def test_each_change_is_one_line_with_its_reason_and_of_a_flood_five_a_second():
 
 
 def test_margins_are_those_of_the_grasp_and_unknown_without_one():
-    node, state = ControllerNode(), plant().state
+    node, state = controller_node(), plant().state
     report = ControllerReport(node, plant().hand)
     report.report(None)
     assert not any(key.startswith("A") for key in values(node.diagnostics))

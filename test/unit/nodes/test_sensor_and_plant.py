@@ -4,17 +4,14 @@
 from typing import Any
 
 import numpy as np
-from rcl_interfaces.msg import Log
 from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from std_msgs.msg import String
-from support.nodes import facts, tapped
+from support.nodes import tapped
 
 from tactile_hand_ros import names
 from tactile_hand_ros.nodes.plant.node import PlantNode
 from tactile_hand_ros.nodes.tactile_sensor import TactileSensorNode
-from tactile_hand_ros.ros.messages import JointCodec
-from tactile_hand_ros.ros.qos import tick_qos
 from tactile_hand_ros.scenario.scenario import load_scenario
 from tactile_hand_ros.simulation.plant import Plant
 from tactile_hand_ros.simulation.skin import TactileReading
@@ -54,24 +51,6 @@ def test_the_faults_of_fingers_are_live_if_they_are_as_many(here):
     (taken,) = node.set_parameters([Parameter("faults", value=["none", "off", "none"])])
     assert taken.successful
     assert np.isnan(sense(node, TICK).positions).any(axis=1).tolist() == [False, True, False]
-
-
-def _kind(node: Any) -> Any:
-    (kind,) = (each.kind for each in node.tick_publishers if each.topic == "/joint_states")
-    return kind
-
-
-def test_a_plant_that_holds_says_why(here):
-    node, lines = here.make(PlantNode, composed=False, command_timeout=0.2), list[str]()
-    publisher = here.user.create_publisher(_kind(node), names.JOINT_COMMAND, tick_qos())
-    here.wait(lambda: publisher.get_subscription_count() == 1)
-    facts(node)
-    here.user.create_subscription(Log, "/rosout", lambda m: lines.append(m.msg), 100)
-    publisher.publish(
-        JointCodec(HAND.joint_names, ("effort",)).encode(0, np.full(HAND.joints, 0.01))
-    )
-    here.wait(lambda: facts(node)["mode"] == "holding", "the hold")
-    here.wait(lambda: any("running -> holding: no usable joint_command" in x for x in lines), "log")
 
 
 def test_who_comes_late_still_gets_the_description_of_the_hand(here):

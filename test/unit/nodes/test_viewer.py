@@ -13,181 +13,112 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
-from geometry_msgs.msg import PoseArray, PoseStamped, WrenchStamped
-from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile, QoSReliabilityPolicy
-from rclpy.serialization import deserialize_message
 from std_msgs.msg import String
 from support.messages import contacts_message, force_message, pose_message
+from support.nodes import Process
 from visualization_msgs.msg import Marker, MarkerArray
 
-from bench.processes import isolated_domain
 from tactile_hand_ros import names
 from tactile_hand_ros.config.paths import config_directory
 from tactile_hand_ros.nodes import viewer
-from tactile_hand_ros.nodes.viewer import Frame, ViewerNode, contact_markers
-from tactile_hand_ros.ros.endpoints import message_class, subscribe_directly, take_latest
-from tactile_hand_ros.ros.middleware import ros_context
-from tactile_hand_ros.ros.processes import wait_until
+from tactile_hand_ros.nodes.viewer import ViewerNode
+from tactile_hand_ros.ros.endpoints import message_class
 
 ROOT = Path(__file__).resolve().parents[3]
 VIEWS = config_directory() / "views"
 RVIZ_TOPICS = {"MarkerArray": "Topic", "RobotModel": "Description Topic"}
-TURN = np.array([0.1, 0.2, 0.3, np.sqrt(0.86)])
-FORCES = np.array([[1.0, 4.0, -2.0], [0.5, -1.0, 0.25], [0.0, 0.0, 0.0], [3.0, 8.0, 6.0]])
-
-
-def drawn(forces: Any) -> dict[str, dict[int, Marker]]:
-    """Return the markers of successive contacts, by namespace and finger."""
-    places = [np.array([i, i + 0.25, i + 0.5]) for i in range(len(forces))]
-    contacts = [Frame(f"c{i}", place, TURN) for i, place in enumerate(places)]
-    found: dict[str, dict[int, Marker]] = {}
-    with np.errstate(invalid="ignore"):
-        for marker in contact_markers(contacts, np.array(forces)):
-            found.setdefault(marker.ns, {})[marker.id] = marker
-    return found
-
-
-def points(marker: Marker) -> np.ndarray[Any, Any]:
-    return np.array([[p.x, p.y, p.z] for p in marker.points])
 
 
 def place(marker: Marker) -> list[float]:
-    at, turn = marker.pose.position, marker.pose.orientation
-    return [at.x, at.y, at.z, turn.x, turn.y, turn.z, turn.w]
-
-
-def at(number: int) -> list[float]:
-    return [number, number + 0.25, number + 0.5, *TURN]
-
-
-def test_a_force_is_an_arrow_and_the_strongest_is_twelve_centimetres_long() -> None:
-    arrows = drawn([*FORCES, FORCES[0]])["forces"]
-    assert sorted(arrows) == [0, 1, 3, 4]  # no arrow without a force
-    for i, arrow in arrows.items():
-        start, end = points(arrow)
-        assert not start.any()
-        np.testing.assert_allclose(end, [*FORCES, FORCES[0]][i] * 0.12 / np.sqrt(109.0))
-        assert arrow.type == Marker.ARROW and place(arrow) == at(i)
-
-
-@pytest.mark.parametrize("force", [[np.nan, 1.0, 1.0], [0.0, 0.0, 0.0], [1.0, np.inf, 0.0]])
-def test_a_force_that_is_not_known_leaves_the_ball(force: list[float]) -> None:
-    assert set(drawn([force])) == {"contacts"}
+    at = marker.pose.position
+    return [at.x, at.y, at.z]
 
 
 STRAIGHT = [0.0, 0.0, 0.0, 1.0]
 FINGERS = ("finger_1", "finger_2", "finger_3")
 TOUCH = np.array([[0.1, 0.0, 0.4], [0.0, 0.2, 0.4], [np.nan] * 3])
 TURNS = np.array([STRAIGHT, STRAIGHT, [np.nan] * 4])
-KINDS = {
-    "tactile/contacts": PoseArray,
-    "accepted/desired_pose": PoseStamped,
-    "ground_truth/object_pose": PoseStamped,
-    **{f"tactile/{finger}/wrench": WrenchStamped for finger in FINGERS},
-}
 
 
 class Stage:
     """A viewer, its input and its markers."""
 
-    def __init__(self, context: Any) -> None:
+    def __init__(self, here: Process) -> None:
         one_face = [Parameter("object.friction", value=0.5)]
-        self.viewer = ViewerNode(context=context, namespace="/left", parameter_overrides=one_face)
-        self.node = Node("hand", context=context, namespace="/left", start_parameter_services=False)
-        self._publishers = {
-            topic: self.node.create_publisher(kind, topic, QoSProfile(depth=10))
-            for topic, kind in KINDS.items()
-        }
-        self._shown: Any = None
-        wait_until(lambda: all(p.get_subscription_count() for p in self._publishers.values()))
+        self.viewer = ViewerNode(
+            context=here.context, namespace="/left", parameter_overrides=one_face
+        )
+        self.here, self._pictures = here, 0
+        here.receive(MarkerArray, "/left/markers")
+        here.wait(lambda: self.viewer.peers()["publications /left/markers"] == 1)
 
     def send(self, topic: str, message: Any) -> None:
-        self._publishers[topic].publish(message)
-        assert self._publishers[topic].wait_for_all_acked()
+        self.here.send(f"/left/{topic}", message)
 
-    def watch(self) -> None:
-        profile = QoSProfile(depth=1)
-        self._shown = subscribe_directly(self.node, MarkerArray, "markers", profile)
-        wait_until(lambda: self.viewer._markers.get_subscription_count() == 1)
+    def force(self, finger: int, force: list[float]) -> None:
+        message = force_message(force, 5, f"{FINGERS[finger]}_contact")
+        self.send(f"tactile/{FINGERS[finger]}/wrench", message)
 
     def show(self) -> dict[str, list[Marker]]:
         self.viewer.show()
-        data = wait_until(lambda: take_latest(self._shown))
+        self._pictures += 1
         found: dict[str, list[Marker]] = {}
-        for marker in deserialize_message(data, MarkerArray).markers:
+        for marker in self.here.messages("/left/markers", self._pictures)[-1].markers:
             found.setdefault(marker.ns, []).append(marker)
         return found
 
 
 @pytest.fixture
-def stage() -> Iterator[Stage]:
-    with isolated_domain() as domain, ros_context(domain=domain) as context:
-        made = Stage(context)
-        yield made
-        made.viewer.destroy_node()
-        made.node.destroy_node()
+def stage(here: Process) -> Iterator[Stage]:
+    made = Stage(here)
+    yield made
+    made.viewer.destroy_node()
 
 
 def test_a_picture_holds_the_newest_of_everything(stage: Stage) -> None:
-    stage.watch()
-    assert set(stage.show()) == {"all"}
+    """The arrow of the strongest force is 12 cm long, and none is drawn without a force."""
+    assert set(stage.show()) == {""}
     for x in (1.0, 2.0):
         stage.send("ground_truth/object_pose", pose_message([x, 0.0, 0.0], STRAIGHT, 5))
         stage.send("accepted/desired_pose", pose_message([x, 1.0, 0.0], STRAIGHT, 5))
     stage.send("tactile/contacts", contacts_message(TOUCH, TURNS, 5))
-    assert set(stage.show()) == {"all", "object", "goal", "contacts"}
-    stage.send("tactile/finger_1/wrench", force_message([0.0, 3.0, 0.0], 5, "finger_1_contact"))
-    stage.send("tactile/finger_2/wrench", force_message([0.0, 6.0, 0.0], 5, "finger_2_contact"))
+    stage.force(0, [0.0, 0.0, 0.0])
+    assert set(stage.show()) == {"", "object", "goal", "contacts"}
+    stage.force(0, [0.0, 3.0, 0.0])
+    stage.force(1, [2.0, 3.0, -6.0])
     shown = stage.show()
-    assert place(shown["object"][0])[:3] == [2.0, 0.0, 0.0] and place(shown["goal"][0])[:3] == [
-        2.0,
-        1.0,
-        0.0,
-    ]
-    assert [place(ball)[:3] for ball in shown["contacts"]] == TOUCH[:2].tolist()
-    assert [arrow.points[1].y for arrow in shown["forces"]] == pytest.approx([0.06, 0.12])
-    assert {m.header.frame_id for each in shown.values() for m in each} == {"left/palm"}
-    assert stage.show() == shown
+    assert [place(shown[name][0]) for name in ("object", "goal")] == [[2, 0, 0], [2, 1, 0]]
+    for name in ("contacts", "forces"):
+        assert [place(marker) for marker in shown[name]] == TOUCH[:2].tolist()
+    ends = [[p.x, p.y, p.z] for arrow in shown["forces"] for p in arrow.points]
+    scale, none = 0.12 / 7.0, [0.0] * 3
+    expected = [none, [0.0, 3.0 * scale, 0.0], none, [2.0 * scale, 3.0 * scale, -6.0 * scale]]
+    np.testing.assert_allclose(ends, expected)
+    assert shown["forces"][0].type == Marker.ARROW
+    frames = {m.header.frame_id for name, each in shown.items() if name for m in each}
+    assert frames == {"left/palm"} and stage.show() == shown
 
 
 def test_what_is_no_measurement_is_not_shown(stage: Stage) -> None:
-    stage.watch()
     stage.send("tactile/contacts", contacts_message(TOUCH[:2], TURNS[:2], 5))  # of two fingers
     for turn in (STRAIGHT, [0.0] * 4):  # the second is no rotation
         stage.send("ground_truth/object_pose", pose_message([0.0] * 3, turn, 5))
         assert ("object" in stage.show()) == (turn is STRAIGHT)
-    assert set(stage.show()) == {"all"}
+    assert set(stage.show()) == {""}
     stage.send("tactile/contacts", contacts_message(TOUCH, TURNS, 5))
-    wrong = force_message([0.0, np.inf, 0.0], 5, "finger_1_contact")
-    stage.send("tactile/finger_1/wrench", wrong)
-    assert set(stage.show()) == {"all", "contacts"}
+    for force in ([0.0, np.inf, 0.0], [np.nan, 1.0, 1.0]):
+        stage.force(0, force)
+        assert set(stage.show()) == {"", "contacts"}
 
 
 def test_a_best_effort_publisher_is_shown_and_wakes_nobody(stage: Stage) -> None:
     """An untaken QoS event would keep the executor awake, even after the publisher has left."""
-    stage.watch()
     profile = QoSProfile(depth=10, reliability=QoSReliabilityPolicy.BEST_EFFORT)
-    driver = stage.node.create_publisher(PoseArray, "tactile/contacts", profile)
-    wait_until(lambda: driver.get_subscription_count() == 1)
-
-    def is_shown() -> bool:
-        driver.publish(contacts_message(TOUCH, TURNS, 5))
-        return "contacts" in stage.show()
-
-    wait_until(is_shown)
-    taken = list(stage.viewer.subscriptions)
-    assert len(taken) == len(KINDS) and not any(each.event_handlers for each in taken)
-
-
-def test_the_reliability_of_what_is_shown_can_be_overridden() -> None:
-    name = "qos_overrides./tactile/contacts.subscription.reliability"
-    with isolated_domain() as domain, ros_context(domain=domain) as context:
-        made = ViewerNode(context=context, parameter_overrides=[Parameter(name, value="reliable")])
-        profiles = {each.topic_name: each.qos_profile for each in made.subscriptions}
-        assert profiles["/tactile/contacts"].reliability.name == "RELIABLE"
-        made.destroy_node()
+    stage.here.send("/left/tactile/contacts", contacts_message(TOUCH, TURNS, 5), profile)
+    stage.here.wait(lambda: "contacts" in stage.show(), "the message")
+    assert not any(each.event_handlers for each in stage.viewer.subscriptions)
 
 
 def test_with_tf2_contacts_and_object_are_transforms(
@@ -201,10 +132,10 @@ def test_with_tf2_contacts_and_object_are_transforms(
     monkeypatch.setattr(viewer, "TFMessage", SimpleNamespace)
     stage.viewer._tf = SimpleNamespace(publish=sent.append)
     stage.send("ground_truth/object_pose", pose_message([1.0, 0.0, 0.0], STRAIGHT, 5))
-    stage.viewer.show()
+    stage.show()
     assert sent == []  # no contacts, no timestamp
     stage.send("tactile/contacts", contacts_message(TOUCH, TURNS, 1_500_000_000))
-    stage.viewer.show()
+    stage.show()
     (message,) = sent
     expected = {"finger_1_contact": TOUCH[0], "finger_2_contact": TOUCH[1], "object": [1, 0, 0]}
     assert [t.child_frame_id for t in message.transforms] == [f"left/{n}" for n in expected]

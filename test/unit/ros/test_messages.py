@@ -52,15 +52,6 @@ def same_bits(ours, theirs):
     assert np.asarray(ours, dtype=float).tobytes() == np.asarray(theirs, dtype=float).tobytes()
 
 
-def big_endian(message):
-    """Return a WrenchStamped from a big-endian machine."""
-    stamp, frame = message.header.stamp, message.header.frame_id.encode() + b"\0"
-    head = struct.pack(">iII", stamp.sec, stamp.nanosec, len(frame)) + frame
-    force = message.wrench.force
-    numbers = struct.pack(">6d", force.x, force.y, force.z, 0.0, 0.0, 0.0)
-    return bytes(4) + head.ljust(-(-len(head) // 8) * 8, b"\0") + numbers
-
-
 @given(stamps, vectors(3), st.text("abc_1é", max_size=20))
 def test_a_force_is_read_by_ros_and_by_us(stamp, force, frame):
     codec = WrenchCodec(frame)
@@ -70,7 +61,7 @@ def test_a_force_is_read_by_ros_and_by_us(stamp, force, frame):
     vector = message.wrench.force
     same_bits([vector.x, vector.y, vector.z], force)
     theirs = force_message(force, stamp, frame)
-    for received in (data, serialize_message(theirs), data + bytes(4), big_endian(theirs)):
+    for received in (data, serialize_message(theirs), data + bytes(4)):
         found, ours = codec.decode(received)
         assert found == stamp
         same_bits(ours, force)
@@ -176,16 +167,6 @@ def test_a_quaternion_of_nearly_unit_length_is_a_rotation_and_others_are_refused
     np.testing.assert_allclose(rotation_from_quaternion(quaternion), rotation, atol=1e-15)
     found = Contacts.from_poses(*ContactsCodec(3).decode(contacts)[1])
     np.testing.assert_allclose(found.rotations[1], rotation, atol=1e-15)
-
-
-def test_joints_of_senders_with_other_orders_are_sorted():
-    codec = JointCodec(["a", "b", "c"], ("position", "velocity"))
-    for order in ([2, 0, 1], [2, 0, 1], [1, 2, 0], [0, 1, 2]):
-        values = np.array([1.0, 2.0, 3.0])[order]
-        joints = ["abc"[i] for i in order]
-        message = joint_message(joints, 1, position=values, velocity=values, effort=[np.nan] * 3)
-        _, (position, velocity) = codec.decode(serialize_message(message))
-        assert position.tolist() == velocity.tolist() == [1.0, 2.0, 3.0]
 
 
 @pytest.mark.parametrize(
@@ -309,10 +290,11 @@ def test_each_number_is_checked_before_it_is_sent(place):
         JointCodec(["a", "b"], ("position", "velocity")).encode(0, *blocks)
 
 
-@pytest.mark.parametrize("order", ["<", ">"])
-def test_a_number_is_read_in_either_order_of_bytes(order):
-    ours = bytes([0, order == "<", 0, 0]) + struct.pack(f"{order}d", 2.5)
-    assert read_number(ours) == read_number(serialize_message(Float64(data=2.5))) == 2.5
+def test_a_number_is_read_unless_it_is_of_another_encoding_or_not_finite():
+    data = serialize_message(Float64(data=2.5))
+    assert read_number(data) == 2.5
+    with pytest.raises(MessageError, match="12 bytes that are not a std_msgs/msg/Float64"):
+        read_number(bytes(4) + data[4:])
     for wrong in (math.nan, math.inf, -BEYOND):
         with pytest.raises(MessageError, match=f"data is {wrong}"):
             read_number(serialize_message(Float64(data=wrong)))
@@ -342,9 +324,9 @@ def test_a_stamp_needs_twelve_bytes(size):
 def test_no_sender_makes_an_error_long():
     long = "x" * 10_000
     joints, force = JointState(name=[long], effort=[1.0]), force_message((0, 0, 0), 0, long)
-    with pytest.raises(MessageError, match=r"x{80}\.\.\.'") as unknown:
+    with pytest.raises(MessageError, match=r"'x{77}\.\.\.'") as unknown:
         JointCodec(["a", "b"], ("effort",)).decode(serialize_message(joints))
-    with pytest.raises(MessageError, match=r"x{80}\.\.\.'") as frame:
+    with pytest.raises(MessageError, match=r"'x{77}\.\.\.'") as frame:
         WrenchCodec("tip").decode(serialize_message(force))
     assert max(len(str(unknown.value)), len(str(frame.value))) < 300
 

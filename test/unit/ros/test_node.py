@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray
-from rcl_interfaces.msg import Log, ParameterValue
+from rcl_interfaces.msg import Log
 from rcl_interfaces.msg import Parameter as ParameterMessage
 from rcl_interfaces.srv import SetParameters, SetParametersAtomically
 from rclpy.parameter import Parameter
-from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from std_msgs.msg import Float64
 from std_srvs.srv import SetBool, Trigger
 from support.nodes import Process, counts, facts
@@ -178,20 +178,6 @@ def test_the_place_is_the_innermost_of_this_package_or_else_of_all():
     assert location(ValueError("never raised")) == "unknown"
 
 
-def test_a_parameter_of_an_unknown_type_is_refused(here, node):
-    good = Parameter("gain", value=2.0).to_parameter_msg()
-    for number, name in ((10, "gain"), (255, "no_such")):
-        odd = ParameterMessage(name=name, value=ParameterValue(type=number))
-        service = "/left/example/set_parameters"
-        both = here.call(SetParameters, service, parameters=[odd, good])
-        assert [result.successful for result in both.results] == [False, False]
-        assert f"has type {number}" in both.results[0].reason
-        service += "_atomically"
-        together = here.call(SetParametersAtomically, service, parameters=[good, odd])
-        assert not together.result.successful
-    assert counts(node, "errors") == {} and node.config.gain == 1.0
-
-
 def test_health_is_reported_when_a_peer_comes_or_goes(here, node):
     here.receive(DiagnosticArray, names.DIAGNOSTICS)
     node.create_publisher(Float64, "z", 1)
@@ -253,3 +239,23 @@ def test_a_sensor_subscription_may_be_made_best_effort():
         here.wait(lambda: node.got == [1.0], "the message")
         assert qos.tick_qos().reliability == ReliabilityPolicy.RELIABLE
         here.close()
+
+
+@pytest.mark.parametrize(
+    ("make", "depth", "durability"),
+    [
+        (qos.tick_qos, 100, DurabilityPolicy.VOLATILE),
+        (qos.tick_publisher_qos, 3000, DurabilityPolicy.VOLATILE),
+        (qos.latched_qos, 1, DurabilityPolicy.TRANSIENT_LOCAL),
+        (qos.user_qos, 100, DurabilityPolicy.VOLATILE),
+    ],
+)
+def test_profiles_promise_what_the_documentation_says_and_are_new_each_time(
+    make, depth, durability
+):
+    profile = make()
+    assert profile.reliability == ReliabilityPolicy.RELIABLE
+    assert profile.history == HistoryPolicy.KEEP_LAST
+    assert (profile.depth, profile.durability) == (depth, durability)
+    profile.depth = 7  # rclpy writes into it, too
+    assert make().depth == depth

@@ -81,22 +81,18 @@ def set_one(node, name, value):
 
 
 @pytest.mark.parametrize(
-    ("argument", "field", "value"),
+    ("arguments", "changes"),
     [
-        ("k_p:=4", "k_p", 4.0),
-        ("k_p:=4.5", "k_p", 4.5),
-        ("law:=kawamura", "law", Law.KAWAMURA),
-        ("weights:=[1, 2]", "weights", (1.0, 2.0)),
-        ("weights:=[]", "weights", ()),
-        ("topics:=['a', 'b']", "topics", ("a", "b")),
-        ("pushes:=['{kind: ramp, start: 2}']", "pushes", (Push(kind="ramp", start=2.0),)),
-        ("steps:=3.0", "steps", 3),
+        (("k_p:=4", "weights:=[1, 2]"), {"k_p": 4.0, "weights": (1.0, 2.0)}),
+        (("k_p:=4.5", "weights:=[]", "steps:=3.0"), {"k_p": 4.5, "weights": (), "steps": 3}),
+        (("law:=kawamura", "topics:=['a', 'b']"), {"law": Law.KAWAMURA, "topics": ("a", "b")}),
+        (("pushes:=['{kind: ramp, start: 2}']",), {"pushes": (Push(kind="ramp", start=2.0),)}),
     ],
 )
-def test_values_from_the_command_line(declare, argument, field, value):
-    node, parameters = declare("-p", argument)
-    assert getattr(parameters.config, field) == value
-    assert node.has_parameter(field)
+def test_values_from_the_command_line(declare, arguments, changes):
+    node, parameters = declare(*[word for argument in arguments for word in ("-p", argument)])
+    assert parameters.config == Example(**changes)
+    assert all(map(node.has_parameter, changes))
 
 
 @pytest.mark.parametrize(

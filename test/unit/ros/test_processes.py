@@ -35,16 +35,6 @@ def test_an_executable_that_is_not_there_is_named():
         executable_path("no_such_node")
 
 
-def test_domains_are_never_shared_and_the_environment_is_restored():
-    before = os.environ.get("ROS_DOMAIN_ID")
-    with isolated_domain() as first:
-        assert os.environ["ROS_DOMAIN_ID"] == str(first)
-        with isolated_domain() as second:
-            assert second != first
-        assert os.environ["ROS_DOMAIN_ID"] == str(first)
-    assert os.environ.get("ROS_DOMAIN_ID") == before
-
-
 def test_nodes_of_two_domains_do_not_meet_and_listen_on_the_loopback_address_only():
     with isolated_domain() as one, isolated_domain() as two:
         with ros_context(domain=one) as here, ros_context(domain=two) as there:

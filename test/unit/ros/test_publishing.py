@@ -1,71 +1,94 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A message is encoded once, and only if it has a subscriber."""
+"""A message is encoded once, and only if it has a subscriber; viewers receive them in batches."""
 
-from collections.abc import Iterator
 from typing import Any
 
 import pytest
-from rclpy.context import Context
-from rclpy.node import Node
 from rclpy.serialization import serialize_message
-from std_msgs.msg import Float64
-from support.spinning import spinning
+from std_msgs.msg import Float64, MultiArrayDimension, UInt8MultiArray
+from support.nodes import Process
 
-from tactile_hand_ros.ros import qos
+from tactile_hand_ros import names
+from tactile_hand_ros.errors import MessageError
 from tactile_hand_ros.ros.node import TickPublisher
-from tactile_hand_ros.ros.processes import wait_until
+from tactile_hand_ros.ros.relay import TickRelay, unpack_batch
 
 
-@pytest.fixture
-def node(context: Context) -> Iterator[Node]:
-    made = Node("sender", namespace="left", context=context)
-    yield made
-    made.destroy_node()
+class Numbers(TickPublisher):
+    """A publisher of numbers that counts what it encodes."""
 
-
-class Encoder:
-    """Encodes numbers and counts them."""
-
-    def __init__(self) -> None:
+    def __init__(self, here: Process) -> None:
+        super().__init__(here.user, Float64, "number", self._serialize)
         self.encoded: list[float] = []
 
-    def __call__(self, value: float) -> bytes:
+    def _serialize(self, value: float) -> bytes:
         self.encoded.append(value)
-        return serialize_message(Float64(data=value))
+        return bytes(serialize_message(Float64(data=value)))
 
 
-def test_nothing_is_encoded_when_nobody_wants_it(node):
-    encode = Encoder()
-    publisher = TickPublisher(node, Float64, "number", encode)
+def subscribe(here: Process, publisher: Numbers) -> list[float]:
+    received: list[float] = []
+    here.user.create_subscription(Float64, "number", lambda m: received.append(m.data), 10)
+    here.wait(lambda: publisher.get_subscription_count() == 1)
+    return received
+
+
+def test_a_message_is_encoded_once_for_all_taps_and_subscribers(here):
+    publisher, tapped = Numbers(here), list[Any]()
     publisher.publish(1.0)
     publisher.repeat()
-    assert not publisher.wanted and encode.encoded == []
-    facts = publisher.topic, publisher.kind, publisher.qos_profile.depth
-    assert facts == ("/left/number", Float64, qos.PUBLISHED_DEPTH)
-
-
-def test_a_message_is_encoded_once_for_all_taps_and_subscribers(node):
-    encode, tapped, received = Encoder(), [], []
-    publisher = TickPublisher(node, Float64, "number", encode)
+    assert publisher.encoded == []
     publisher.add_tap(tapped.append)
     publisher.add_tap(tapped.append)
-    publisher.publish(1.0)
-    assert publisher.wanted and encode.encoded == [1.0]
-    assert tapped == 2 * [serialize_message(Float64(data=1.0))]
-    node.create_subscription(Float64, "number", lambda m: received.append(m.data), 10)
-    wait_until(lambda: publisher.get_subscription_count() == 1)
-    with spinning(node):
-        publisher.publish(2.0)
-        wait_until(lambda: received == [2.0])
-    assert encode.encoded == [1.0, 2.0] and len(tapped) == 4
+    publisher.publish(2.0)
+    assert publisher.encoded == [2.0]
+    assert tapped == 2 * [serialize_message(Float64(data=2.0))]
+    received = subscribe(here, publisher)
+    publisher.publish(3.0)
+    here.wait(lambda: received == [3.0])
+    assert publisher.encoded == [2.0, 3.0] and len(tapped) == 4
 
 
-def test_a_message_that_nobody_wanted_is_repeated_for_who_came_later(node):
-    publisher, received = TickPublisher(node, Float64, "number", Encoder()), list[Any]()
+def test_a_message_that_nobody_wanted_is_repeated_for_who_came_later(here):
+    publisher = Numbers(here)
     publisher.repeat()
     publisher.publish(3.0)
-    node.create_subscription(Float64, "number", lambda m: received.append(m.data), 10)
-    wait_until(lambda: publisher.get_subscription_count() == 1)
-    with spinning(node):
-        publisher.repeat()
-        wait_until(lambda: received == [3.0])
+    received = subscribe(here, publisher)
+    publisher.repeat()
+    here.wait(lambda: received == [3.0])
+
+
+def test_all_messages_of_a_node_arrive_in_batches_while_somebody_listens(here):
+    publisher, topic = Numbers(here), names.ticks_of("user")
+    TickRelay(here.user, [publisher])
+    batches = here.receive(UInt8MultiArray, topic)
+    here.wait(lambda: publisher.publish(0.0) or here.messages(topic, 0), "a batch")
+    sent = [float(number) for number in range(1, 40)]
+    for number in sent:
+        publisher.publish(number)
+    expected = [serialize_message(Float64(data=number)) for number in sent]
+
+    def all_came() -> bool:
+        here.messages(topic, 0)
+        found = [m for batch in batches for m in unpack_batch(batch)["number"]]
+        return found[-len(sent) :] == expected
+
+    here.wait(all_came, "all messages")
+    here.user.destroy_subscription(here._received.pop(topic)[0])
+
+    def is_idle() -> bool:
+        publisher.encoded.clear()
+        publisher.publish(0.0)
+        return not publisher.encoded
+
+    here.wait(is_idle, "the relay to stop")
+
+
+@pytest.mark.parametrize("change", [-1, 1, 10**6])
+def test_a_batch_whose_sizes_are_wrong_is_refused(change: int) -> None:
+    message = UInt8MultiArray(data=b"\x02\x00\x00\x00ab\x01\x00\x00\x00c")
+    message.layout.dim = [MultiArrayDimension(label="topic", size=11)]
+    assert unpack_batch(message) == {"topic": [b"ab", b"c"]}
+    message.layout.dim[0].size += change
+    with pytest.raises(MessageError, match="topic"):
+        unpack_batch(message)

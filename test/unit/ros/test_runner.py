@@ -139,9 +139,11 @@ def test_a_signal_before_rclpy_handles_it_stops_the_process(monkeypatch, number)
 @pytest.mark.parametrize(
     ("words", "code", "printed"),
     [
-        (["-h"], 0, "Does this and that.\n\nArguments: --priority N"),
-        (["--help"], 0, "--params-file FILE"),
-        (["--fast", "--slow"], 2, "unknown argument '--fast', expected --priority"),
+        (["--help"], 0, "--params-file FILE ...]\n\nDoes this and that.\n"),
+        (["--fast"], 2, "--priority N] [--ros-args"),
+        (["--fast"], 2, "error: unrecognized arguments: --fast"),
+        (["--priority", "100"], 2, "--priority is '100', expected a whole number from 1 to 99"),
+        (["--priority=-1"], 2, "--priority is '-1', expected a whole number from 1 to 99"),
         (["--ros-args", "-r", "x"], 2, "the ROS arguments cannot be used: "),
     ],
 )

@@ -1,36 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The options for the kernel's scheduler are read, written, and rejected with a reason."""
+"""Threads that resend messages do not block others of the same priority."""
 
 import contextlib
 import os
 import threading
 from pathlib import Path
 
-import pytest
-from hypothesis import given
-from hypothesis import strategies as st
-
-from tactile_hand_ros.errors import ConfigurationError
-from tactile_hand_ros.ros.scheduling import take_priority, yield_while_resending
-
-
-@given(st.integers(0, 99))
-def test_what_is_written_is_read(priority):
-    assert take_priority(["--priority", str(priority)]) == (priority, [])
-
-
-def test_other_words_are_left_alone():
-    words = ["--priority=7", "-h", "other"]
-    assert take_priority(words) == (7, ["-h", "other"])
-    assert take_priority([]) == (0, [])
-
-
-@pytest.mark.parametrize(
-    "words", [["--priority"], ["--priority", "100"], ["--priority", "-1"], ["--priority=high"]]
-)
-def test_nonsense_is_refused(words):
-    with pytest.raises(ConfigurationError, match=words[0].partition("=")[0]):
-        take_priority(words)
+from tactile_hand_ros.ros.scheduling import yield_while_resending
 
 
 def _policies_of_thread(name):

@@ -45,16 +45,6 @@ def test_sets_are_in_order_and_never_mixed(case):
     assert set(stamps) == set.intersection(*map(set, streams.values()))
 
 
-@given(st.lists(st.tuples(st.sampled_from(KEYS), st.integers(0, 10**6)), max_size=300))
-def test_memory_is_bounded_whatever_comes(arrivals):
-    matcher = StampMatcher(KEYS, memory=5)
-    for key, stamp in arrivals:
-        result = matcher.put(key, stamp, stamp)
-        assert len(matcher.pending) <= 5
-        if result is not None:
-            assert len(set(result)) == 1
-
-
 def test_a_repeated_value_of_an_open_stamp_replaces_the_first():
     matcher = StampMatcher(("a", "b"))
     matcher.put("a", 1, "old")

@@ -21,14 +21,12 @@ from rosbags.rosbag2 import Reader
 from std_msgs.msg import Int64
 
 import tactile_hand_ros
-from bench.processes import isolated_domain
 from tactile_hand_ros.bag.reader import read_messages, summarize
 from tactile_hand_ros.errors import BagError
 from tactile_hand_ros.nodes.recorder import node as recorder_module
 from tactile_hand_ros.nodes.recorder import writer_process
 from tactile_hand_ros.nodes.recorder.node import RecorderNode
 from tactile_hand_ros.ros.diagnostics import ERROR, WARN
-from tactile_hand_ros.ros.middleware import ros_context
 from tactile_hand_ros.ros.node import TickPublisher
 from tactile_hand_ros.ros.processes import wait_until
 
@@ -37,14 +35,14 @@ SCENARIO = "name: 'odd: \"1\"'\nseed: 7\ntargets:\n- {time: 0.0}\n"
 
 
 class Stage:
-    """Recorders in one context, and a publishing node in another."""
+    """A recorder next to a publishing node and a hand."""
 
-    def __init__(self, here: Context, there: Context, bag: Path) -> None:
-        self.context, self.bag = here, bag
-        self.talker = Node("talker", context=there)
-        self.hand = Node("hand", context=here, namespace="left")
+    def __init__(self, context: Context, bag: Path) -> None:
+        self.context, self.bag = context, bag
+        self.talker = Node("talker", context=context)
+        self.hand = Node("hand", context=context, namespace="left")
         self.recorder: RecorderNode
-        self._executor = SingleThreadedExecutor(context=here)
+        self._executor = SingleThreadedExecutor(context=context)
         self._publishers: dict[str, Publisher] = {}
 
     def record(self, *local: TickPublisher, **options: Any) -> RecorderNode:
@@ -87,20 +85,15 @@ class Stage:
 
 
 @pytest.fixture
-def stage(tmp_path: Path) -> Iterator[Stage]:
-    with (
-        isolated_domain() as domain,
-        ros_context(domain=domain) as here,
-        ros_context(domain=domain) as there,
-    ):
-        made = Stage(here, there, tmp_path / "bag")
-        yield made
-        if hasattr(made, "recorder"):
-            with suppress(BagError):
-                made.recorder.close()
-            made.recorder.destroy_node()
-        made.hand.destroy_node()
-        made.talker.destroy_node()
+def stage(context: Context, tmp_path: Path) -> Iterator[Stage]:
+    made = Stage(context, tmp_path / "bag")
+    yield made
+    if hasattr(made, "recorder"):
+        with suppress(BagError):
+            made.recorder.close()
+        made.recorder.destroy_node()
+    made.hand.destroy_node()
+    made.talker.destroy_node()
 
 
 def number(value: int) -> bytes:

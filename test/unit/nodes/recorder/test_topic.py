@@ -1,25 +1,25 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A topic is subscribed with its publishers' QoS, and missing messages are counted."""
+"""A topic is chosen by name, subscribed with its publishers' QoS, and its losses are counted."""
 
 import sys
 from collections.abc import Iterator
-from contextlib import suppress
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from rclpy.context import Context
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 from std_msgs.msg import Float64, Int64
 
-from bench.processes import isolated_domain
-from tactile_hand_ros.errors import BagError
+from tactile_hand_ros.config.model import from_flat
+from tactile_hand_ros.errors import BagError, ConfigurationError
 from tactile_hand_ros.nodes.recorder import topic as topic_module
+from tactile_hand_ros.nodes.recorder.config import RecorderConfig, TopicSelection
 from tactile_hand_ros.nodes.recorder.topic import LossCounter, RawTopic, adapted_qos
 from tactile_hand_ros.ros.endpoints import message_class
-from tactile_hand_ros.ros.middleware import ros_context
 from tactile_hand_ros.ros.processes import wait_until
 
 NAME, TYPE = "/number", "std_msgs/msg/Int64"
@@ -47,7 +47,7 @@ def test_all_publishers_satisfy_what_is_asked_for(offers, reliability, durabilit
 
 
 class Stage:
-    """A recorded topic, publishers in their own participant, and the received messages."""
+    """A recorded topic, its publishers, and the received messages."""
 
     def __init__(self, listener: Node, talker: Node) -> None:
         self.talker, self.listener = talker, listener
@@ -55,10 +55,10 @@ class Stage:
         self.taken: list[int] = []
         self.times: list[tuple[int, int]] = []
 
-    def publisher(self, profile: QoSProfile, *numbers: int, others: int = 0) -> Publisher:
-        """Create a publisher that sends numbers; the listener has discovered so many others."""
+    def publisher(self, profile: QoSProfile, *numbers: int) -> Publisher:
+        """Create a publisher that sends numbers once the listener has discovered it."""
         publisher = self.talker.create_publisher(Int64, NAME, profile)
-        wait_until(lambda: self.listener.count_publishers(NAME) == 1 + others)
+        wait_until(lambda: self.listener.count_publishers(NAME) == 1)
         self.send(publisher, *numbers)
         return publisher
 
@@ -100,18 +100,12 @@ class Stage:
 
 
 @pytest.fixture
-def stage(monkeypatch: pytest.MonkeyPatch) -> Iterator[Stage]:
+def stage(context: Context, monkeypatch: pytest.MonkeyPatch) -> Iterator[Stage]:
     monkeypatch.setattr(topic_module, "_DISCOVERY", 0.0)
-    with (
-        isolated_domain() as domain,
-        ros_context(domain=domain) as here,
-        ros_context(domain=domain) as there,
-    ):
-        nodes = Node("listener", context=here), Node("talker", context=there)
-        yield Stage(*nodes)
-        for node in nodes:
-            with suppress(Exception):
-                node.destroy_node()
+    nodes = Node("listener", context=context), Node("talker", context=context)
+    yield Stage(*nodes)
+    for node in nodes:
+        node.destroy_node()
 
 
 def test_messages_are_taken_with_their_times(stage):
@@ -121,14 +115,6 @@ def test_messages_are_taken_with_their_times(stage):
     assert stage.take(3) == [3, 4, 5] and stage.topic.lost == 0
     assert stage.topic.publishers == 1 and stage.topic.received == 3
     assert all(0 < sent <= received for received, sent in stage.times)
-
-
-def test_what_a_node_sends_before_it_is_found_is_a_loss(stage):
-    publisher = stage.publisher(EAGER, 1, 2)  # the subscription requests more until it adapts
-    stage.match(publisher)
-    stage.send(publisher, 3)
-    assert 3 in stage.take(3)
-    assert stage.topic.lost == 2
 
 
 @given(st.integers(1, 1000), st.sets(st.integers(1, 98), max_size=50))
@@ -156,17 +142,6 @@ def test_of_several_publishers_nothing_is_counted_and_all_of_one_that_appears_al
         present = now
         losses.note(number)
         assert losses.count == count
-
-
-def test_a_weaker_publisher_next_to_another_is_taken_too(stage):
-    strict = stage.publisher(STRICT)
-    stage.match(strict)
-    stage.send(strict, 1)
-    assert strict.wait_for_all_acked()
-    eager = stage.publisher(EAGER, others=1)
-    stage.match(eager)
-    stage.send(eager, 2)
-    assert stage.take(2) == [1, 2]
 
 
 def test_a_publisher_replaced_by_a_best_effort_one_between_two_looks_is_taken(stage):
@@ -235,3 +210,31 @@ def test_what_is_no_type_name_is_refused(name):
     with pytest.raises(BagError, match="is not a type name, expected package/msg/Type") as caught:
         message_class(name)
     assert len(str(caught.value)) < 250
+
+
+@pytest.mark.parametrize(
+    ("topic", "chosen"),
+    [
+        ("/left/joint_states", True),
+        ("/right/joint_states", False),
+        ("/left/joint_states/raw", True),
+        ("/left/debug", False),
+        ("/left/_hidden", False),
+        ("/prefix/left/joint_states", False),
+    ],
+)
+def test_patterns_match_the_whole_name(topic, chosen):
+    assert (topic in TopicSelection(["/left/.*"], [".*/debug"])) is chosen
+
+
+def test_everything_is_the_default():
+    config = RecorderConfig(output="bag")
+    selection = TopicSelection(config.topics, config.exclude)
+    names = ["/clock", "/rosout", "/diagnostics", "/hand/tactile/contacts", "/parameter_events"]
+    assert [name in selection for name in names] == 5 * [True]
+
+
+@pytest.mark.parametrize("key", ["topics", "exclude"])
+def test_broken_pattern_is_refused_with_its_place(key):
+    with pytest.raises(ConfigurationError, match=rf"{key}.*'\(' is not a valid regular expression"):
+        from_flat(RecorderConfig, {"output": "bag", key: ["("]})

@@ -45,7 +45,7 @@ def test_the_bag_is_the_same_to_the_byte(tmp_path):
     assert (there / "bag_0.mcap").read_bytes() == (here / "bag_0.mcap").read_bytes()
     assert (there / "metadata.yaml").read_text() == (here / "metadata.yaml").read_text()
     assert (other.message_count, other.bytes_received, other.lost) == (3000, 3000 * 16, {})
-    assert not other.is_open and not psutil.pid_exists(other.process_id)
+    assert not other.is_open and not psutil.pid_exists(other.process.pid)
 
 
 def test_what_finds_no_room_is_counted_as_lost(tmp_path, monkeypatch):
@@ -53,7 +53,7 @@ def test_what_finds_no_room_is_counted_as_lost(tmp_path, monkeypatch):
     assert writer_process._MAX_WAITING == 64 << 20
     monkeypatch.setattr(writer_process, "_MAX_WAITING", 1 << 20)
     writer = started(tmp_path / "bag")
-    process = psutil.Process(writer.process_id)
+    process = psutil.Process(writer.process.pid)
     process.suspend()
     wait_until(lambda: process.status() == psutil.STATUS_STOPPED, 10.0)
     channel = writer.add_channel("/one", TYPE)
@@ -69,7 +69,7 @@ def test_what_finds_no_room_is_counted_as_lost(tmp_path, monkeypatch):
 
 def test_a_process_that_has_died_is_an_error_with_advice(tmp_path):
     writer = started(tmp_path / "bag")
-    os.kill(writer.process_id, signal.SIGKILL)
+    os.kill(writer.process.pid, signal.SIGKILL)
     channel = writer.add_channel("/one", TYPE)
     with pytest.raises(BagError, match="tactile-hand recover"):
         while True:
@@ -83,7 +83,7 @@ def test_a_process_that_has_died_is_an_error_with_advice(tmp_path):
 
 def test_a_disk_that_refuses_the_data_is_the_reason_given(tmp_path):
     writer = started(tmp_path / "bag")
-    psutil.Process(writer.process_id).rlimit(psutil.RLIMIT_FSIZE, (10_000, 10_000))
+    psutil.Process(writer.process.pid).rlimit(psutil.RLIMIT_FSIZE, (10_000, 10_000))
     channel = writer.add_channel("/one", TYPE)
 
     def fails() -> bool:
@@ -103,10 +103,10 @@ from tactile_hand_ros.nodes.recorder.writer_process import WriterProcess
 writer = WriterProcess(Path(sys.argv[1]))
 writer.check()
 for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-    os.kill(writer.process_id, number)
+    os.kill(writer.process.pid, number)
 writer.write(writer.add_channel('/one', {TYPE!r}), {MESSAGE!r}, 1, 2)
 writer.send()
-print(writer.process_id, flush=True)
+print(writer.process.pid, flush=True)
 os.kill(os.getpid(), signal.SIGKILL)
 """
 
@@ -132,5 +132,5 @@ def test_it_gives_up_the_priority_of_the_hand_before_it_imports_anything(tmp_pat
     )
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(tmp_path), *sys.path]))
     writer = WriterProcess(tmp_path / "bag")
-    psutil.Process(writer.process_id).wait(20.0)
+    psutil.Process(writer.process.pid).wait(20.0)
     assert int((tmp_path / "seen").read_text()) == os.SCHED_BATCH
