@@ -25,19 +25,12 @@ _ENDS: dict[signal.Signals, Any] = {
 
 
 def run_command(program: str, command: Callable[[], Any]) -> int:
-    """Run a command and return its exit code.
+    """Run a command, which returns an exit code or anything else for success; return the code.
 
-    Args:
-        program: Name of the program, put before each sentence.
-        command: Returns an exit code, or anything else for success.
-
-    Returns:
-        0 after success; 2, with one sentence on stderr, if the input was rejected or could not be
-        read or written; 128 plus the number of a signal that ended it, such as 130 after Ctrl-C.
+    It is 0 after success; 2, with one sentence on stderr, if the input was rejected or could not be
+    read or written; 128 plus the number of a signal that ended it, such as 130 after Ctrl-C.
     """
-    if sys.stdout is None:
-        say(program, "the standard output is closed; redirect it to a file or to /dev/null.")
-        return EXIT_REFUSED
+    sys.stdout = sys.stdout or open(os.devnull, "w")  # noqa: SIM115  # where it is closed
     _print_any_character()
     try:
         with _ended_by_signals():

@@ -35,13 +35,8 @@ def find_grasp(
 ) -> None:
     """Search for grasps of an object, print the best, and write a scenario with a picture.
 
-    Args:
-        hand: Name or YAML file.
-        edges: One edge of a cube, diameter and length, or three edges of the box around it, m.
-        shape: See `ObjectConfig`.
-        friction: Friction coefficient.
-        mass: Mass of the object, kg; 0 for a fifth of what the hand can hold, at most 0.2 kg.
-        folder: For the files.
+    `edges` [m] are one edge of a cube, diameter and length, or three edges of the box around it.
+    A `mass` [kg] of 0 stands for a fifth of what the hand can hold, at most 0.2 kg.
 
     Raises:
         TactileHandError: If the edges or the hand cannot be used, or no grasp was found.

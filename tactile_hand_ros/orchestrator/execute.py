@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import contextlib
-import errno
 import functools
 import hashlib
 import socket
@@ -24,7 +23,6 @@ from tactile_hand_ros.orchestrator.monitor import View, line_console
 from tactile_hand_ros.orchestrator.options import RunOptions
 from tactile_hand_ros.orchestrator.run_directory import RunDirectory
 from tactile_hand_ros.orchestrator.session import Plan, RunOutcome, Session
-from tactile_hand_ros.orchestrator.steering import how_to_steer
 from tactile_hand_ros.ros.middleware import full_namespace, graph_node, ros_context
 from tactile_hand_ros.ros.scheduling import parse_priority
 from tactile_hand_ros.scenario.preflight import check_scenario
@@ -103,8 +101,7 @@ def _announce(plan: Plan, directory: RunDirectory, options: RunOptions, console:
         show("real time: the nodes share one process; --processes gives each node its own")
     show(f"starting nodes; logs: {directory.path / 'logs'}")
     if plan.interactive:
-        hint = how_to_steer(plan.namespace, plan.scenario.targets)
-        show(f"Ctrl-C ends the run. To move the hand: {hint}")
+        show("Ctrl-C ends the run; `tactile-hand move`, `squeeze`, `release` and others steer it")
 
 
 def _conclude(
@@ -148,9 +145,7 @@ def single_run_lock(domain: int, namespace: str) -> Iterator[None]:
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as lock:
         try:
             lock.bind(f"\0tactile_hand_ros/{name}")
-        except OSError as error:
-            if error.errno != errno.EADDRINUSE:
-                raise
+        except OSError:
             raise RunInProgressError(
                 f"a run is in progress in ROS domain {domain} and namespace '{namespace}'; stop "
                 "it, or give this one another --namespace or ROS_DOMAIN_ID"

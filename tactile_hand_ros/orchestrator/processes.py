@@ -62,9 +62,7 @@ class NodeProcess(ChildProcess):
 
 
 def started_by(name: str, guard: list[str]) -> list[str]:
-    """Return the command for an executable: ``ros2 run``, or its file if there is no ``ros2``.
-
-    The executable runs under the command `guard`.
+    """Return the command for an executable under `guard`: ``ros2 run``, or its file without `ros2`.
 
     Raises:
         ExecutableError: If it does not exist.
@@ -105,11 +103,7 @@ class Processes:
         self.stop([list(self._started)])
 
     def start(self, name: str, log: Path, *arguments: str, records: bool = False) -> None:
-        """Start an executable; `records` lets it finish a bag if the orchestrator dies.
-
-        Raises:
-            ExecutableError: If it does not exist.
-        """
+        """Start an executable; `records` lets it finish a bag if the orchestrator dies."""
         # The kernel ends it when its parent dies, also below `ros2 run`.
         guard = ["setpriv", "--pdeathsig", "INT" if records else "KILL", "--"]
         command = [*self._command(name, guard), *arguments]

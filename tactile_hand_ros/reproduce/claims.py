@@ -3,10 +3,8 @@
 
 from __future__ import annotations
 
-import enum
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -63,23 +61,7 @@ Outcomes = Mapping[str, ExperimentRun]
 """The experiments of one layout by key."""
 
 
-class ClaimVerdict(enum.Enum):
-    """The verdict on a claim."""
-
-    HOLDS = "holds"
-    PARTLY = "holds in part"
-    FAILS = "does not hold"
-
-
-@dataclass(frozen=True)
-class Claim:
-    """One claim of the paper: its source and statement, the measured result and the verdict."""
-
-    source: str
-    statement: str
-    measured: str
-    verdict: ClaimVerdict
-
+HOLDS, PARTLY, FAILS = "holds", "holds in part", "does not hold"
 
 Finding = tuple[str, bool, bool]
 """What was measured, and whether the claim holds, or holds in part."""
@@ -92,13 +74,16 @@ def _claim(source: str, statement: str) -> Callable[[Callable[[Outcomes], Findin
     return lambda measure: _claims.append((source, statement, measure))
 
 
-def judge(outcomes: Outcomes) -> list[Claim]:
-    """Judge all claims, including Theorem 1 with (9), by the experiments of one layout."""
+def judge(outcomes: Outcomes) -> list[list[str]]:
+    """Judge all claims, including Theorem 1 with (9), by the experiments of one layout.
+
+    Return rows of source, statement, measured result and verdict.
+    """
     found = []
     for source, statement, measure in _claims:
         measured, holds, partly = measure(outcomes)
-        worse = ClaimVerdict.PARTLY if partly else ClaimVerdict.FAILS
-        found.append(Claim(source, statement, measured, ClaimVerdict.HOLDS if holds else worse))
+        verdict = HOLDS if holds else PARTLY if partly else FAILS
+        found.append([source, statement, measured, verdict])
     return found
 
 

@@ -6,7 +6,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,9 +19,6 @@ from tactile_hand_ros.control.slip.detector import ContactState
 from tactile_hand_ros.errors import BagError, MessageError
 from tactile_hand_ros.run.derived import gaps, silent, spans
 from tactile_hand_ros.scenario.scenario import Scenario
-
-OPENING = ("grasp", "false")
-"""Service and value of the call that opens the hand."""
 
 
 class Asked(NamedTuple):
@@ -49,8 +46,8 @@ def releases(requests: Sequence[Asked]) -> list[float]:
     """Return when the hand was asked to open, s, except where a later grasp closed it again."""
     found: list[float] = []
     for each in requests:
-        if each.key == OPENING[0]:
-            found = [1e-9 * each.stamp] if each.value == OPENING[1] else []
+        if each.key == "grasp":
+            found = [1e-9 * each.stamp] if each.value == "false" else []
     return found
 
 
@@ -60,19 +57,6 @@ def nanoseconds(stamp: Any) -> int:
 
 
 Flags = NDArray[np.bool_]
-Kind = Literal[
-    "command",
-    "request",
-    "refusal",
-    "disturbance",
-    "slip",
-    "detection",
-    "reaction",
-    "contact_lost",
-    "contact_made",
-    "dropped",
-    "gap",
-]
 
 SLIDING = 1e-3
 """Minimum speed that counts as slip; slower sliding is the creep of holding contacts, m/s."""
@@ -93,13 +77,14 @@ class Event:
         time: Simulated time, s.
         kind: ``slip`` is the true start of sliding, ``detection`` the alarm of the hand,
             ``reaction`` the rise of the grasp force after it, ``request`` a service call by a user,
-            ``refusal`` a rejected command, ``gap`` a stretch of ticks missing from the recording.
+            ``refusal`` a rejected command, ``gap`` a stretch of ticks missing from the recording;
+            also ``command``, ``disturbance``, ``contact_lost``, ``contact_made``, ``dropped``.
         finger: Name of the finger or link, empty if it concerns the whole hand.
         text: The event in words.
     """
 
     time: float
-    kind: Kind
+    kind: str
     finger: str
     text: str
 
@@ -111,7 +96,10 @@ def events(
 
     `dropped` is the time of the drop, s; NaN if there was none.
     """
-    found = [*_commands(record), *_of_fingers(record), *_reactions(record), *_gaps(record)]
+    found = [*_commands(record), *_of_fingers(record), *_reactions(record)]
+    for first, last in gaps(record):
+        lasted = record.times[last] - record.times[first]
+        found += _at(record, [first], "gap", "", f"no data was recorded for {lasted:.3g} s")
     if not math.isnan(dropped):
         found.append(Event(dropped, "dropped", "", "the object is dropped"))
     if scenario is not None:
@@ -164,7 +152,7 @@ def _commands(record: Record) -> list[Event]:
     return _at(record, new, "command", "", "a new pose is commanded")
 
 
-def _at(record: Record, rows: Iterable[int], kind: Kind, finger: str, text: str) -> list[Event]:
+def _at(record: Record, rows: Iterable[int], kind: str, finger: str, text: str) -> list[Event]:
     return [Event(float(record.times[row]), kind, finger, text) for row in rows]
 
 
@@ -209,14 +197,6 @@ def _held_through(flags: Flags, unknown: Flags) -> Flags:
     """Return flags that keep their last known value while unknown."""
     rows = np.maximum.accumulate(np.where(unknown, 0, np.arange(len(flags))))
     return np.asarray(flags[rows] & ~(unknown & (rows == 0)))
-
-
-def _gaps(record: Record) -> list[Event]:
-    found: list[Event] = []
-    for first, last in gaps(record):
-        lasted = record.times[last] - record.times[first]
-        found += _at(record, [first], "gap", "", f"no data was recorded for {lasted:.3g} s")
-    return found
 
 
 def _starts(record: Record, flags: Flags) -> list[int]:

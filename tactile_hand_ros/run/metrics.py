@@ -33,15 +33,6 @@ def json_ready(value: Any) -> Any:
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
-class Plain:
-    """A dataclass of numbers and strings."""
-
-    def to_dict(self: Any) -> dict[str, Any]:
-        """Return plain data for JSON, in which NaN and infinity become None."""
-        plain: dict[str, Any] = json_ready(asdict(self))
-        return plain
-
-
 START_S = 0.02
 """Initial time that friction peaks leave out, s: at tick 0 no force acts yet."""
 
@@ -62,13 +53,13 @@ class Judged:
 
 
 @dataclass(frozen=True)
-class Metrics(Plain):
+class Metrics:
     """Results of a run; NaN if the record does not contain them. Mappings are keyed by finger.
 
     Final values are those of the last tick; they are NaN if the grasp was lost by then.
 
     Attributes:
-        ticks: Number of ticks.
+        ticks: Their number.
         simulated_time_s: From the first tick to the last.
         final_position_error_m: |p_d - p|, p as the hand estimates it.
         final_rotation_error_rad: |r_d|, 2 sin of the angle.
@@ -132,6 +123,11 @@ class Metrics(Plain):
     link_inside: str = ""
     link_inside_s: float = math.nan
 
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain data for JSON, in which NaN and infinity become None."""
+        plain: dict[str, Any] = json_ready(asdict(self))
+        return plain
+
     @property
     def link_note(self) -> str:
         """The link inside the object and its time in words."""
@@ -169,8 +165,8 @@ def metrics(
     """Measure a run: how close it comes to (7), and in its normal forces to (15).
 
     Args:
-        record: The run, at least one tick; ground truth and single topics may be missing.
-        scenario: Its scenario, for the goal.
+        record: At least one tick; ground truth and single topics may be missing.
+        scenario: For the goal.
         releases: When a user opened the hand, s.
     """
     goal = GoalConfig() if scenario is None else scenario.goal

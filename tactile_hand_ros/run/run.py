@@ -49,7 +49,7 @@ class Run(Result):
         summary: Topics, message counts and times of the bag.
         topics: Names of the hand's topics and fingers.
         messages: The messages of the hand's topics by full name.
-        series: The same as arrays with log times, by full name.
+        series: The same as arrays with log times.
 
     Example:
         >>> run = Run("runs/latest")
@@ -96,7 +96,8 @@ class Run(Result):
         wanted = {*self.topics.types, *map(self.topics.full, [*asked, names.PUSH])}
         description = self.topics.full(names.ROBOT_DESCRIPTION)
         messages = read_topics(self.bag, {*wanted, description})
-        self.description = self._read_description(messages.pop(description))
+        if texts := messages.pop(description).data:
+            self.description = str(decode("std_msgs/msg/String", texts[0]).data)
         states = self.topics.full(names.JOINT_STATES)
         if not messages[states].data:
             raise BagError(
@@ -153,13 +154,6 @@ class Run(Result):
         except TactileHandError:  # the hand's file stayed on the machine of the run
             return []
         return named if set(seen) <= set(named) else []
-
-    def _read_description(self, messages: TopicMessages) -> str:
-        """Return the recorded URDF of the hand, empty if none was recorded."""
-        kind = self.summary.types.get(self.topics.full(names.ROBOT_DESCRIPTION))
-        if not messages.data or kind != "std_msgs/msg/String":
-            return ""
-        return str(decode(kind, messages.data[0]).data)
 
     def _take(self, messages: Mapping[str, TopicMessages]) -> Run:
         """Fill in everything that follows from the messages of one section."""

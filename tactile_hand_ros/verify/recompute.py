@@ -59,7 +59,7 @@ class Comparison:
         unit: Unit of the difference.
         compared: Number of ticks with a recorded message.
         identical: Number of those that match bit for bit.
-        first: First tick that differs [ns], None if there is none.
+        first: First tick that differs [ns].
         largest: Largest difference; NaN where only one of the two has an answer.
     """
 
@@ -86,12 +86,7 @@ class Comparison:
 
 @dataclass(frozen=True)
 class Recomputation:
-    """The result of a recomputation.
-
-    Attributes:
-        record: The recomputed run; arrays that controllers do not compute are as recorded.
-        comparisons: One comparison per topic.
-    """
+    """The recomputed run, in which what controllers do not compute is as recorded; comparisons."""
 
     record: Record
     comparisons: list[Comparison]
@@ -105,10 +100,8 @@ class Recomputation:
 def recompute(run: Run, law: str = "") -> Recomputation:
     """Recompute the controllers' answers from the sensor topics of a run.
 
-    Args:
-        run: The run; its scenario must be known.
-        law: Law to use instead of the recorded one. A user's own law must be given even if it is
-            the recorded one, because a recording imports no code.
+    `law` replaces the recorded one. A user's own law must be given even if it is the recorded one,
+    because a recording imports no code.
 
     Raises:
         BagError: If the scenario is unknown.
@@ -148,11 +141,7 @@ class ShadowLoop(Chain):
     """The chain of controllers of `ClosedLoop`, fed from a recording."""
 
     def __init__(self, inputs: Inputs) -> None:
-        """Build the controllers.
-
-        Raises:
-            TactileHandError: If the hand cannot be built.
-        """
+        """Build the controllers; raise TactileHandError if the hand cannot be built."""
         r, k = inputs.record, len(inputs.record.finger_names)
         self._inputs = inputs
         self._waiting = {node: deque(inputs.changes[node]) for node in CONTROLLERS}

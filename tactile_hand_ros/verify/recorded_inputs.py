@@ -36,12 +36,9 @@ OF_LAW = ("law.name", "law.folder")
 
 
 class Change(NamedTuple):
-    """A change of a controller in a recorded run.
+    """A change of a controller: the first tick [ns] whose answer it could change, kind, value.
 
-    Attributes:
-        stamp: The first tick whose answer it could change [ns].
-        name: `PARAMETERS`, the topic of a command, or the service or latched topic of a request.
-        value: The configuration, a `Target`, a grasp force [N], or the value of the request.
+    `name` is `PARAMETERS`, the topic of a command, or the service or latched topic of a request.
     """
 
     stamp: int
@@ -77,14 +74,8 @@ class Inputs:
 def read_inputs(run: Run, scenario: Scenario, of_scenario: Collection[str] = ()) -> Inputs:
     """Collect the inputs of a run.
 
-    Args:
-        run: The run.
-        scenario: Its scenario, for controllers without a recorded configuration.
-        of_scenario: Parameters always taken from the scenario.
-
-    Raises:
-        BagError: If the bag cannot be read.
-        ConfigurationError: If a recorded configuration is invalid.
+    The scenario is for controllers without a recorded configuration; parameters `of_scenario` are
+    always taken from it. Raise ConfigurationError if a recorded configuration is invalid.
     """
     record = run.record
     series = run.series[run.topics.full(names.CONTACTS)]
