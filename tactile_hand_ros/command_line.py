@@ -30,7 +30,7 @@ def run_command(program: str, command: Callable[[], Any]) -> int:
     It is 0 after success; 2, with one sentence on stderr, if the input was rejected or could not be
     read or written; 128 plus the number of a signal that ended it, such as 130 after Ctrl-C.
     """
-    sys.stdout = sys.stdout or open(os.devnull, "w")  # noqa: SIM115  # where it is closed
+    sys.stdout = sys.stdout or open(os.devnull, "w")  # noqa: SIM115
     _print_any_character()
     try:
         with _ended_by_signals():

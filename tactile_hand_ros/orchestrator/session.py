@@ -70,7 +70,7 @@ class StallCheck:
         self._since = 0.0
 
     def step(self, now: float, tick: int, mode: str) -> bool:
-        """Return whether no tick was answered for `STALL`; `tick` [ns] is the newest, `now` in s."""
+        """Return whether no tick was answered for `STALL`, given the newest [ns]; `now` in s."""
         is_users = mode == "paused" or (self._is_endless and tick >= 0)
         if tick != self._last or is_users:
             self._last, self._since = tick, now

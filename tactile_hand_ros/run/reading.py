@@ -82,7 +82,7 @@ def find_prefix(topics: Iterable[str], namespace: str | None, bag: object) -> st
         return hands[wanted.strip("/")]
     listed = ", ".join(sorted(hand or "/" for hand in hands)) or "none"
     raise BagError(
-        f"The bag {bag} has the topic {names.JOINT_STATES} of a hand in these namespaces: {listed}; "
+        f"The bag {bag} has the topic {names.JOINT_STATES} in the namespaces: {listed}; "
         "choose one of them."
     )
 

@@ -143,7 +143,7 @@ def test_recover(run, capsys):
 
 def test_a_namespace_without_a_hand_and_an_empty_name(run, capsys):
     assert "the scenario is ''" in refused(capsys, "run", "")
-    assert "no hand in the namespace 'left'" in refused(capsys, "summary", run, "--namespace=left")
+    assert "in the namespaces: /; choose" in refused(capsys, "summary", run, "--namespace=left")
 
 
 @pytest.mark.parametrize(

@@ -14,7 +14,7 @@ from std_msgs.msg import Float64
 from std_srvs.srv import SetBool
 from support.spinning import spinning
 
-from tactile_hand_ros.orchestrator.steering import Steering, SteeringError, how_to_steer
+from tactile_hand_ros.orchestrator.steering import Steering, SteeringError
 from tactile_hand_ros.ros import qos
 from tactile_hand_ros.ros.messages import PoseCodec, stamp_to_ns
 from tactile_hand_ros.ros.processes import wait_until
@@ -42,17 +42,13 @@ def make(context: Context) -> Iterator[Callable[[str], Node]]:
         node.destroy_node()
 
 
-def no_check() -> None:
-    """Accept everything."""
-
-
 def test_targets_and_the_newest_force_that_is_due_arrive(make):
     hand, heard, forces = make("hand"), list[Any](), list[float]()
     hand.create_subscription(PoseStamped, "desired_pose", heard.append, qos.user_qos())
     hand.create_subscription(
         Float64, "user_grasp_force", lambda message: forces.append(message.data), qos.user_qos()
     )
-    steering = Steering(make("orchestrator"), SCENARIO, no_check)
+    steering = Steering(make("orchestrator"), SCENARIO, lambda: None)
     assert not steering.is_ready
     wait_until(lambda: list(steering.facts.values()) == ["1", "1"])
     keys = ("publications /desired_pose", "publications /user_grasp_force")
@@ -81,7 +77,7 @@ def test_the_plant_is_told_to_run_and_its_refusal_is_an_error(make, accepts):
         return response
 
     plant.create_service(SetBool, "plant/run", answer)
-    steering = Steering(make("orchestrator"), SCENARIO, no_check)
+    steering = Steering(make("orchestrator"), SCENARIO, lambda: None)
     wait_until(lambda: steering.is_ready)
     with spinning(plant):
         if accepts:
@@ -105,9 +101,3 @@ def test_a_plant_without_an_answer_is_not_awaited_for_ever(make):
         steering.run(True, timeout=0.03, check=False)
     with pytest.raises(Trouble):
         steering.run(True)
-
-
-@pytest.mark.parametrize(("namespace", "tail"), [("/", ""), ("/left", " --namespace /left")])
-def test_the_command_to_steer_names_the_hand_and_a_target_of_its_own(namespace, tail):
-    assert how_to_steer(namespace, TARGETS) == f"tactile-hand move 0.4 0.5 0.6{tail}"
-    assert how_to_steer(namespace, []) == f"tactile-hand move X Y Z{tail}"

@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A run on disk yields the recorded arrays, and reports its defects."""
 
-import json
 from dataclasses import fields
 from pathlib import Path
 
@@ -72,16 +71,13 @@ class TestRecord:
             for at, tick in enumerate([0, 2, 2, 2, 4]):
                 tick_only(bag, tick, at)
         run = Run(tmp_path / "bag")
-        assert run.record.stamps.tolist() == [0, 2, 4]
-        assert run.bag_metrics.repeated_ticks == 2
+        assert run.record.stamps.tolist() == [0, 2, 4] and run.bag_metrics.repeated_ticks == 2
         assert run.earlier == []
 
     def test_no_contact_has_no_frame_either(self, tmp_path):
         record = random_record()
-        record.contact_positions[3, 1] = np.nan
-        record.contact_positions[4, 2, 0] = np.nan
+        record.contact_positions[3, 1] = record.contact_positions[4, 2, 0] = np.nan
         seen = Run(write_record(tmp_path / "bag", record)).record
-        assert np.isnan(seen.contact_quaternions[3, 1]).all()
         record.contact_quaternions[3, 1] = np.nan
         assert_same(seen, record)
 
@@ -98,21 +94,14 @@ class TestRecord:
         np.testing.assert_array_equal(record.command, [[10.0, 20.0], [10.0, 20.0], [np.nan] * 2])
 
     def test_fingers_may_be_named_in_any_order(self, tmp_path):
-        order = ["finger_2", "finger_1"]
         values = {"position": [0.2, 0.1], "velocity": [0.4, 0.3], "effort": [2.0, 1.0]}
         with RunWriter(tmp_path / "bag") as bag:
-            for tick in range(2):
-                tick_only(bag, tick, 2 * tick)
-            bag.write("/grip_state", joint_message(order, 1, **values), 3)
-            slip = {"position": [2e-3, 1e-3], "velocity": [0.2, 0.1]}
-            bag.write("/ground_truth/slip", joint_message(order, 1, **slip), 3)
+            tick_only(bag, 0, 0)
+            bag.write("/grip_state", joint_message(["finger_2", "finger_1"], 0, **values), 3)
         record = Run(tmp_path / "bag", fingers=["finger_1", "finger_2"]).record
-        unknown = [np.nan, np.nan]
-        np.testing.assert_array_equal(record.friction, [unknown, [0.1, 0.2]])
-        np.testing.assert_array_equal(record.slip_evidence, [unknown, [0.3, 0.4]])
-        np.testing.assert_array_equal(record.grip, [unknown, [1.0, 2.0]])
-        np.testing.assert_array_equal(record.true_slid, [unknown, [1e-3, 2e-3]])
-        np.testing.assert_array_equal(record.true_sliding, [unknown, [0.1, 0.2]])
+        np.testing.assert_array_equal(record.friction, [[0.1, 0.2]])
+        np.testing.assert_array_equal(record.slip_evidence, [[0.3, 0.4]])
+        np.testing.assert_array_equal(record.grip, [[1.0, 2.0]])
 
     def test_contacts_of_another_number_of_fingers_are_unknown(self, tmp_path):
         record = random_record()
@@ -120,36 +109,28 @@ class TestRecord:
             write_tick(bag, record, 0, START)
         assert np.isnan(Run(tmp_path / "bag", fingers=["finger_1"]).record.contact_positions).all()
 
-    def test_a_finger_that_the_bag_lacks_is_refused(self, tmp_path):
-        write_record(tmp_path / "bag", random_record())
-        with pytest.raises(BagError, match="no finger 'finger1', but: finger_1, finger_2, fin"):
-            Run(tmp_path / "bag", fingers=["finger1", "finger_2", "finger_3"])
-
-    def test_fingers_are_in_the_order_of_the_scenario(self, tmp_path):
+    def test_fingers_have_the_order_that_is_asked_for_or_that_of_the_scenario(self, tmp_path):
         record = random_record()
         said = {"scenario": resolved(load_scenario("paper"))}
         run = Run(write_record(tmp_path / "bag", record, custom_data=said))
         assert run.record.finger_names == ["finger_1", "finger_2", "finger_3"]
         given = Run(tmp_path / "bag", fingers=["finger_3", "finger_1", "finger_2"]).record
         np.testing.assert_array_equal(given.forces, record.forces[:, [2, 0, 1]])
-
-
-class TestDesiredPose:
-    """Ticks are 0, 10, 20, 30 and 40 ns, logged at 100, 200, 300, 400 and 500 ns."""
+        with pytest.raises(BagError, match="no finger 'finger1', but: finger_1, finger_2, fin"):
+            Run(tmp_path / "bag", fingers=["finger1", "finger_2", "finger_3"])
 
     @pytest.mark.parametrize(
         ("poses", "in_force"),
         [
             ([(0, 1.0)], [1.0] * 5),
-            ([(20, 1.0)], [-1.0, -1.0, 1.0, 1.0, 1.0]),
             ([(10, 2.0), (30, 3.0)], [-1.0, 2.0, 2.0, 3.0, 3.0]),
             ([(10, 1.0), (10, 2.0)], [-1.0, 2.0, 2.0, 2.0, 2.0]),  # the last one counts
             ([(25, 1.0)], [-1.0, -1.0, -1.0, 1.0, 1.0]),  # its tick is not in the bag
             ([(50, 1.0)], [-1.0] * 5),
         ],
     )
-    def test_holds_from_its_tick_on(self, poses, in_force, tmp_path):
-        """Each pose is given by its effective tick and its x."""
+    def test_a_desired_pose_holds_from_its_tick_on(self, poses, in_force, tmp_path):
+        """Each pose is given by its effective tick, of 0, 10, 20, 30 and 40 ns, and its x."""
         with RunWriter(tmp_path / "bag") as bag:
             for row in range(5):
                 tick_only(bag, 10 * row, 100 + 100 * row)
@@ -199,7 +180,7 @@ class TestFolders:
         elif case == "other":
             text = text.replace("hand: paper", f"hand: {write_hand(tmp_path, [3, 4, 5])}")
             text = text.replace("layout: three_faces", "layout: ''")
-            problem = "3 fingers and 12 joints here, 3 and 9 in the bag"
+            problem = "other numbers of fingers and joints here"
         if case != "unknown":
             (folder / "scenario.yaml").write_text(text)
         run = Run(folder)
@@ -243,12 +224,11 @@ def test_bag_metrics(tmp_path):
     assert m.topics["/joint_states"].complete and not m.complete and m.absent == []
     assert (m.topics["/joint_command"].ticks, m.topics["/grasp_force"].ticks) == (19, 18)
     assert m.topics["/auxiliary_pose"].complete is None
-    assert m.wall_time_s == pytest.approx(19 * PERIOD * 1e-9)
     assert m.ticks_per_second == pytest.approx(1e9 / PERIOD)
     assert m.command_latency_median_s == pytest.approx(1e-9 * LATENCY)
     assert m.command_latency_p99_s == pytest.approx((1.0 + 0.82 * 4.0) * 1e-9 * LATENCY)
     assert m.command_latency_max_s == pytest.approx(5e-9 * LATENCY)
-    assert json.loads(json.dumps(m.to_dict()))["topics"]["/grasp_force"]["messages"] == 18
+    assert m.topics["/grasp_force"].messages == 18
 
 
 def test_absent_topics_are_named(tmp_path):

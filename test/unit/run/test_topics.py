@@ -7,29 +7,25 @@ from tactile_hand_ros.errors import BagError
 from tactile_hand_ros.run.reading import HandTopics, find_fingers, find_prefix
 
 
-def test_the_only_hand_is_found_in_any_namespace():
-    assert find_prefix(["/joint_states", "/clock"], None, "bag") == "/"
-    assert find_prefix(["/left/joint_states", "/clock"], None, "bag") == "/left/"
-
-
 @pytest.mark.parametrize(
     ("namespace", "prefix"), [("left", "/left/"), ("/left/", "/left/"), ("", "/"), ("/", "/")]
 )
-def test_one_of_several_hands_is_chosen(namespace, prefix):
+def test_the_only_hand_is_found_or_the_one_that_is_chosen(namespace, prefix):
     given = ["/left/joint_states", "/joint_states", "/right/joint_states"]
     assert find_prefix(given, namespace, "bag") == prefix
+    assert find_prefix([f"{prefix}joint_states", "/clock"], None, "bag") == prefix
 
 
 @pytest.mark.parametrize(
-    ("topics", "namespace", "reason"),
+    ("topics", "namespace", "found"),
     [
-        ("/right/joint_states /left/joint_states", None, r"choose a namespace: left, right\."),
-        ("/left/joint_states", "up", r"no hand in the namespace 'up', only: left\."),
-        ("/joint_states_raw /other_joint_states /clock", None, "no topic joint_states"),
+        ("/right/joint_states /left/joint_states", None, "left, right"),
+        ("/left/joint_states", "up", "left"),
+        ("/joint_states_raw /other_joint_states /clock", None, "none"),
     ],
 )
-def test_a_hand_that_is_not_clear_is_refused(topics, namespace, reason):
-    with pytest.raises(BagError, match=reason):
+def test_a_hand_that_is_not_clear_is_refused(topics, namespace, found):
+    with pytest.raises(BagError, match=f"in the namespaces: {found}; choose one"):
         find_prefix(topics.split(), namespace, "bag")
 
 
