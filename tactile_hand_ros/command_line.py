@@ -96,8 +96,8 @@ class Signals:
         # deadlock on the lock that the interrupted `wait` holds.
         self._came: queue.SimpleQueue[int] = queue.SimpleQueue()
 
-    def install(self) -> None:
-        """Install the handlers; an ignored SIGHUP stays ignored, so that ``nohup`` works.
+    def install(self) -> Signals:
+        """Install the handlers and return self; an ignored SIGHUP stays ignored, as for ``nohup``.
 
         Shells without job control start background jobs with SIGINT ignored. Like rclpy, this
         handles it all the same, because SIGINT ends a run.
@@ -105,6 +105,7 @@ class Signals:
         for number in _ENDS:
             if number != signal.SIGHUP or signal.getsignal(number) is not signal.SIG_IGN:
                 signal.signal(number, self._note)
+        return self
 
     def _note(self, number: int, frame: FrameType | None) -> None:
         self.number = self.number or number

@@ -43,11 +43,8 @@ def execute(
 ) -> int:
     """Run a scenario with these options, and return the exit code.
 
-    `companion` makes a context around the run from its plan, its directory and the console.
-
-    Raises:
-        TactileHandError: If the scenario was rejected; nothing was started.
-        Interrupted: If a signal came before anything was started.
+    `companion` makes a context around the run from its plan, its directory and the console. Raise
+    TactileHandError for a rejected scenario, Interrupted after a signal, before anything starts.
     """
     scenario, priority = _checked(options), parse_priority(str(options.priority))
     # The first compilation takes long; during a run the plant would miss its deadlines.
@@ -134,12 +131,9 @@ def _conclude(
 
 @contextlib.contextmanager
 def single_run_lock(domain: int, namespace: str) -> Iterator[None]:
-    """Lock a domain and namespace on this machine, so that each hand has one orchestrator only.
+    """Lock a domain and namespace on this machine; raise RunInProgressError if a run holds them.
 
     The lock is an abstract socket: the kernel removes it when this process exits, however it ends.
-
-    Raises:
-        RunInProgressError: If another run holds it.
     """
     name = hashlib.sha256(f"{domain}{namespace}".encode()).hexdigest()  # of fixed length
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as lock:

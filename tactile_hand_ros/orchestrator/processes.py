@@ -23,8 +23,7 @@ from tactile_hand_ros.ros.processes import (
 )
 
 _TAIL = 15  # lines of a log that are shown
-_ROS2_PATIENCE = 20.0
-"""Longest wait for ``ros2`` to find this package [s]; it takes one second on an idle computer."""
+_ROS2_PATIENCE = 20.0  # s for ``ros2`` to find this package; one suffices on an idle computer
 
 Program = Callable[[str, list[str]], list[str]]
 """Returns the full command for an executable and the command that it runs under."""

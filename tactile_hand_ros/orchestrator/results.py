@@ -24,8 +24,8 @@ from tactile_hand_ros.scenario.scenario import UNLIMITED_SLIP
 EXIT_DROPPED = 3
 INCOMPLETE = "incomplete"
 _CTRL_C = 130  # exit code
+# Rows of the metrics table that are shown with their goals instead.
 _JUDGED = ("final position error", "final orientation error |r_d|", "longest slip", "goal")
-"""Rows of the metrics table that are shown with their goals instead."""
 
 
 @dataclass
@@ -85,14 +85,11 @@ def real_time_counts(plan: Plan, outcome: RunOutcome) -> dict[str, float] | None
 
 @dataclass(frozen=True)
 class RunVerdict:
-    """The verdict on a run.
+    """The verdict on a run, with the reasons for any outcome but success.
 
-    Attributes:
-        outcome: ``goal reached``, ``goal not reached``, ``object dropped``, ``incomplete`` (the
-            goal was reached, but data is missing), ``finished`` (a user ended it, or there is no
-            bag to judge it by), ``interrupted``, ``failed``.
-        reasons: Sentences that explain any outcome but success.
-        exit_code: Exit code of the orchestrator.
+    The outcome is ``goal reached``, ``goal not reached``, ``object dropped``, ``incomplete`` (the
+    goal was reached, but data is missing), ``finished`` (a user ended it, or there is no bag to
+    judge it by), ``interrupted`` or ``failed``.
     """
 
     outcome: str

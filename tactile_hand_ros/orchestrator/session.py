@@ -38,8 +38,7 @@ from tactile_hand_ros.scenario.scenario import NODES, Scenario
 START_ORDER = (RECORDER, PLANT, CONTROLLER, OPTIMIZER, REGULATOR, SENSOR)
 STOP_ORDER = ((PLANT, COMPOSED), (SENSOR, REGULATOR, OPTIMIZER, CONTROLLER), (RECORDER,))
 
-STALL = 15.0
-"""Time without an answered tick after which the run fails [s]."""
+STALL = 15.0  # s without an answered tick after which the run fails
 
 _LOOK = 0.02  # s between polls of the nodes' messages
 _FIRST_LOOK = 0.002  # s between polls before the first message
@@ -101,23 +100,14 @@ class Plan:
 
 @dataclass
 class RunOutcome:
-    """How a run ended, as far as the orchestrator observed it.
+    """How a run ended, as far as the orchestrator observed it."""
 
-    Attributes:
-        failure: Why it ended early, empty if it did not.
-        interrupted: Whether a signal ended it.
-        complaints: A sentence for each process that did not stop cleanly.
-        first_tick: Time from the start of the orchestrator to the first answered tick [s].
-        last_tick: Timestamp of the last answered tick [ns], -1 for none.
-        plant: The last diagnostics of the plant.
-    """
-
-    failure: str = ""
-    interrupted: bool = False
-    complaints: list[str] = field(default_factory=list)
-    first_tick: float | None = None
-    last_tick: int = -1
-    plant: dict[str, str] = field(default_factory=dict)
+    failure: str = ""  # why it ended early
+    interrupted: bool = False  # whether a signal ended it
+    complaints: list[str] = field(default_factory=list)  # on processes that did not stop cleanly
+    first_tick: float | None = None  # s, from the orchestrator's start to the first answered tick
+    last_tick: int = -1  # ns, the last answered tick, -1 for none
+    plant: dict[str, str] = field(default_factory=dict)  # the plant's last diagnostics
 
     @property
     def is_complete(self) -> bool:

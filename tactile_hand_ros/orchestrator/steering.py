@@ -179,9 +179,7 @@ class HandClient:
     def grasp_force(self, force: float) -> float:
         """Request a grasp force k_f [N]; return the simulated time at which it takes effect [s].
 
-        Raises:
-            ConfigurationError: If the force is not finite.
-            SteeringError: If there is no hand, or it rejects the force.
+        Raises the same errors as `move`.
         """
         _check_finite([force])
         accepted = (WrenchStamped, names.ACCEPTED_FORCE, lambda m: m.wrench.force.y == force)

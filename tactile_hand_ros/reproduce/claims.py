@@ -119,9 +119,8 @@ def _rates(outcomes: Outcomes) -> Finding:
 @_claim("Fig. 3d, (15)", "Every normal force converges to k_f f*_n.")
 def _normal_forces(outcomes: Outcomes) -> Finding:
     m = outcomes["optimal"].metrics
-    worst = m.worst_normal_force_relative_error
-    pairs = zip(m.final_normal_forces_N.values(), m.optimal_normal_forces_N.values(), strict=True)
-    listed = ", ".join(f"{f:.4f}/{e:.4f}" for f, e in pairs)
+    worst, wanted = m.worst_normal_force_relative_error, m.optimal_normal_forces_N
+    listed = ", ".join(f"{f:.4f}/{wanted[n]:.4f}" for n, f in m.final_normal_forces_N.items())
     measured = f"f_n / k_f f*_n: {listed} N; worst error {100 * worst:.4f} %"
     return measured, worst < 1e-3, worst < 5e-2
 
@@ -129,11 +128,9 @@ def _normal_forces(outcomes: Outcomes) -> Finding:
 @_claim("(13c), (15)", "The normal forces sum to k_f.")
 def _sum(outcomes: Outcomes) -> Finding:
     m = outcomes["optimal"].metrics
+    total, k_f = m.normal_force_sum_N, m.final_grasp_force_N
     error = m.normal_force_sum_relative_error
-    measured = (
-        f"{m.normal_force_sum_N:.5f} N for k_f = {m.final_grasp_force_N:g} N, "
-        f"{100 * error:.4f} % off"
-    )
+    measured = f"{total:.5f} N for k_f = {k_f:g} N, {100 * error:.4f} % off"
     return measured, error < 1e-4, error < 1e-2
 
 
@@ -260,9 +257,8 @@ def translational_stiffness(scenario: Scenario, at: str = "tips") -> Array:
 
 def _until_loss(run: ExperimentRun) -> Array:
     """Return how far contacts rolled over the object while all of them touched."""
-    lost = np.flatnonzero(derived.contact_lost(run.record))
-    end = int(lost[0]) if len(lost) else len(run.record)
-    return derived.rolling(run.record.part(slice(end)))
+    kept = run.record.times < np.nan_to_num(run.metrics.first_contact_loss_s, nan=np.inf)
+    return np.asarray(derived.rolling(run.record)[kept])
 
 
 def _apart(one: ExperimentRun, other: ExperimentRun) -> float:

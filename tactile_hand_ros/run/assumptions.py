@@ -29,27 +29,16 @@ _BALANCE = 1e-6
 
 @dataclass(frozen=True)
 class Assumption:
-    """One assumption and how it held.
-
-    Attributes:
-        name: A1 to A7, or the solver.
-        meaning: The assumption in words.
-        margin: The quantity that is checked, with its unit.
-        worst: Its worst value; NaN if unknown.
-        limit: Value it must stay above, or below if `below`; NaN if touch gives no limit.
-        below: Whether smaller is better.
-        held_fraction: Fraction of the checked time during which it held; NaN if unknown.
-        broken: Intervals during which it did not hold, start and end in s.
-    """
+    """One assumption and how it held."""
 
     name: str
     meaning: str
-    margin: str
-    worst: float
-    limit: float
-    below: bool
-    held_fraction: float
-    broken: list[tuple[float, float]]
+    margin: str  # the quantity that is checked, with its unit
+    worst: float  # NaN if unknown
+    limit: float  # what the margin must stay above, or below; NaN if touch gives no limit
+    below: bool  # whether smaller is better
+    held_fraction: float  # of the checked time; NaN if unknown
+    broken: list[tuple[float, float]]  # start and end, s
 
 
 def assumptions(record: Record, hand: Hand) -> list[Assumption]:

@@ -22,17 +22,11 @@ from tactile_hand_ros.scenario.scenario import Scenario
 
 
 class Asked(NamedTuple):
-    """A request or command that a node accepted or rejected.
+    """A request or command that a node accepted or rejected."""
 
-    Attributes:
-        stamp: The first tick that it could affect, or the last one before its rejection, ns.
-        key: The service, or the topic of the rejected command.
-        value: The value of the request as text, or the reason for the rejection.
-    """
-
-    stamp: int
-    key: str
-    value: str
+    stamp: int  # ns, the first tick that it could affect, or the last one before its rejection
+    key: str  # the service, or the topic of the rejected command
+    value: str  # of the request as text, or the reason for the rejection
 
 
 def read_asked(messages: TopicMessages) -> list[Asked]:
@@ -58,34 +52,25 @@ def nanoseconds(stamp: Any) -> int:
 
 Flags = NDArray[np.bool_]
 
-SLIDING = 1e-3
-"""Minimum speed that counts as slip; slower sliding is the creep of holding contacts, m/s."""
-
-PAUSE = 0.02
-"""Longest pause that does not split an event, s."""
-RISE = 0.02
-"""Relative rise of the grasp force that counts as a reaction."""
-REACTION = 0.25
-"""Longest time after a slip or an alarm in which a rise belongs to it, s."""
+SLIDING = 1e-3  # m/s, minimum speed that counts as slip; slower is the creep of holding contacts
+PAUSE = 0.02  # s, longest pause that does not split an event
+RISE = 0.02  # relative rise of the grasp force that counts as a reaction
+REACTION = 0.25  # s, longest time after a slip or an alarm in which a rise belongs to it
 
 
 @dataclass(frozen=True)
 class Event:
-    """Something that happened at one instant.
+    """Something that happened at one simulated `time` [s], with a `text` for users.
 
-    Attributes:
-        time: Simulated time, s.
-        kind: ``slip`` is the true start of sliding, ``detection`` the alarm of the hand,
-            ``reaction`` the rise of the grasp force after it, ``request`` a service call by a user,
-            ``refusal`` a rejected command, ``gap`` a stretch of ticks missing from the recording;
-            also ``command``, ``disturbance``, ``contact_lost``, ``contact_made``, ``dropped``.
-        finger: Name of the finger or link, empty if it concerns the whole hand.
-        text: The event in words.
+    Kinds: ``slip`` is the true start of sliding, ``detection`` the alarm of the hand, ``reaction``
+    the rise of the grasp force after it, ``request`` a service call by a user, ``refusal`` a
+    rejected command, ``gap`` a stretch of ticks missing from the recording; also ``command``,
+    ``disturbance``, ``contact_lost``, ``contact_made`` and ``dropped``.
     """
 
     time: float
     kind: str
-    finger: str
+    finger: str  # or link; empty if it concerns the whole hand
     text: str
 
 
@@ -213,7 +198,7 @@ def _reactions(record: Record) -> list[Event]:
     """Return when the grasp force rose after each alarm that follows an alarm-free state."""
     found: list[Event] = []
     for row in _starts(record, (record.grip == ContactState.SLIP).any(axis=1)):
-        start = record.grasp_force[max(0, row - 1)]
+        start = record.grasp_force[row - 1]
         soon = record.times[row:] <= record.times[row] + REACTION
         risen = np.flatnonzero(record.grasp_force[row:][soon] > (1.0 + RISE) * start)
         text = f"the grasp force rises above {start:.3g} N"

@@ -59,15 +59,6 @@ class HandTopics:
                 found[self.full(pattern(finger))] = "geometry_msgs/msg/WrenchStamped"
         return found
 
-    def check(self, types: Mapping[str, str]) -> None:
-        """Raise BagError if a topic, by its full name, has not the type of the contract."""
-        for topic, expected in self.types.items():
-            if types.get(topic, expected) != expected:
-                raise BagError(
-                    f"The topic {topic} has the type {types[topic]}, expected {expected}; remap it "
-                    "or record the right one."
-                )
-
 
 def find_prefix(topics: Iterable[str], namespace: str | None, bag: object) -> str:
     """Return the prefix of a hand's topics; `namespace` is None if there is only one hand.
@@ -96,9 +87,7 @@ def find_fingers(topics: Iterable[str], prefix: str) -> list[str]:
 
 Times = NDArray[np.int64]
 
-
-EARLY = 100_000_000
-"""How long before the first tick of its run a message may have been logged [ns]."""
+EARLY = 100_000_000  # ns before the first tick of its run in which a message may be logged
 
 
 def sections(messages: Mapping[str, TopicMessages], states: str) -> list[dict[str, TopicMessages]]:

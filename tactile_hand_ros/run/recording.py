@@ -27,26 +27,15 @@ class TopicCount:
 
 @dataclass(frozen=True)
 class BagMetrics:
-    """Completeness and timing of a bag, by its log times.
+    """Completeness and timing of a bag, by its log times."""
 
-    Attributes:
-        messages: Number of messages on all topics of the bag.
-        topics: The hand's topics by full name.
-        absent: Missing topics of the hand; ground truth may be absent.
-        complete: Whether every tick has a message on each required topic.
-        repeated_ticks: How often a tick was resent because a reply was late.
-        ticks_per_second: Ticks per second of wall time.
-        command_latency_median_s: From a tick to the command that answers it; also the 99th
-            percentile and the maximum.
-    """
-
-    messages: int
-    topics: Mapping[str, TopicCount]
-    absent: list[str]
-    complete: bool
-    repeated_ticks: int
-    ticks_per_second: float
-    command_latency_median_s: float
+    messages: int  # on all topics of the bag
+    topics: Mapping[str, TopicCount]  # those of the hand by full name
+    absent: list[str]  # missing topics of the hand; ground truth may be absent
+    complete: bool  # whether every tick has a message on each required topic
+    repeated_ticks: int  # how often a tick was resent because a reply was late
+    ticks_per_second: float  # of wall time
+    command_latency_median_s: float  # from a tick to the command that answers it
     command_latency_p99_s: float
     command_latency_max_s: float
 

@@ -6,6 +6,7 @@ from __future__ import annotations
 import copy
 import json
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 
 from tactile_hand_ros import names
@@ -143,17 +144,10 @@ class Run(Result):
             raise BagError(
                 f"The bag {self.bag} has no finger '{unknown[0]}', but: {', '.join(seen)}."
             )
-        topics = HandTopics(prefix, list(fingers or self._fingers_of_scenario(seen) or seen))
-        topics.check(types)
-        return topics
-
-    def _fingers_of_scenario(self, seen: list[str]) -> list[str]:
-        """Return the fingers of the scenario's hand, or none if the bag is of another hand."""
-        try:
-            named = load_hand_config(self.scenario.hand).finger_names if self.scenario else []
-        except TactileHandError:  # the hand's file stayed on the machine of the run
-            return []
-        return named if set(seen) <= set(named) else []
+        of_hand: list[str] = []
+        with suppress(TactileHandError):  # the hand's file stayed on the machine of the run
+            of_hand = load_hand_config(self.scenario.hand).finger_names if self.scenario else []
+        return HandTopics(prefix, list(fingers or (of_hand if set(seen) <= set(of_hand) else seen)))
 
     def _take(self, messages: Mapping[str, TopicMessages]) -> Run:
         """Fill in everything that follows from the messages of one section."""

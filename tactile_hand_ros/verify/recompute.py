@@ -52,23 +52,14 @@ COLUMNS = ("topic", "ticks", "identical", "first difference", "largest differenc
 
 @dataclass(frozen=True)
 class Comparison:
-    """One topic, recorded and recomputed.
-
-    Attributes:
-        topic: Its relative name.
-        unit: Unit of the difference.
-        compared: Number of ticks with a recorded message.
-        identical: Number of those that match bit for bit.
-        first: First tick that differs [ns].
-        largest: Largest difference; NaN where only one of the two has an answer.
-    """
+    """One topic, recorded and recomputed."""
 
     topic: str
     unit: str
-    compared: int
-    identical: int
-    first: int | None
-    largest: float
+    compared: int  # ticks with a recorded message
+    identical: int  # those that match bit for bit
+    first: int | None  # the first tick that differs, ns
+    largest: float  # difference; NaN where only one of the two has an answer
 
     @property
     def same(self) -> bool:
@@ -243,8 +234,7 @@ def _apply(change: Change, node: str, block: Any) -> None:
 class _AtItsTicks:
     """A block that answers only the ticks that its node answered.
 
-    The regulator, from its first answer on, also processes ticks that it is too slow to answer. The
-    other nodes skip them.
+    The regulator, from its first answer on, also processes those that it is too slow to answer.
     """
 
     def __init__(self, block: Any, ticks: set[int], nothing: Any) -> None:

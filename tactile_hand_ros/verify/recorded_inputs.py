@@ -48,22 +48,13 @@ class Change(NamedTuple):
 
 @dataclass(frozen=True)
 class Inputs:
-    """The sensor topics of a run, and all changes by users.
-
-    Attributes:
-        record: All arrays, NaN without a message.
-        contacts: Contacts of each tick, None without a message.
-        measured: Ticks with a force from every finger, shape (n,).
-        changes: Changes of each controller by node, in the order of their ticks; the first is the
-            initial configuration.
-        may_skip: Whether a node may have skipped ticks, as it does in real time if it lags.
-    """
+    """The sensor topics of a run, and all changes by users."""
 
     record: Record
-    contacts: list[Contacts | None]
-    measured: Flags
-    changes: Mapping[str, Sequence[Change]]
-    may_skip: bool = False
+    contacts: list[Contacts | None]  # of each tick, None without a message
+    measured: Flags  # ticks with a force from every finger, shape (n,)
+    changes: Mapping[str, Sequence[Change]]  # by node; the first is the initial configuration
+    may_skip: bool = False  # whether a node may skip ticks, as in real time if it lags
 
     def answered(self, answers: Array) -> Flags:
         """Return which ticks a node did not skip, shape (n,), from its answers, shape (n, ...)."""

@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 
 import numpy as np
+import psutil
 import pytest
 from support.hands import write_hand
 from support.recorded import random_record, write_record
@@ -228,19 +229,11 @@ def test_interrupted_reproduction_leaves_nothing(tmp_path):
     """Ctrl-C reaches the whole group; neither a process nor a traceback remains."""
     command = [*COMMAND, "reproduce", "--out", str(tmp_path / "out")]
     with CapturedProcess(command) as process:
-        workers = f"/proc/{process.pid}/task/{process.pid}/children"
-        wait_until(lambda: len(Path(workers).read_text().split()) >= 2, 60.0, "workers to start")
-        children = [int(pid) for pid in Path(workers).read_text().split()]
+        started = psutil.Process(process.pid).children
+        wait_until(lambda: len(started()) >= 2, 60.0, "workers to start")
+        workers = started()
         process.send_to_group(signal.SIGINT)
         # During some imports, Python turns an interrupt into death by that very signal.
         assert process.wait(30.0) in (130, -signal.SIGINT)
-        wait_until(lambda: not any(is_alive(pid) for pid in children), 20.0, "workers to end")
+        wait_until(lambda: not any(each.is_running() for each in workers), 20.0, "workers to end")
         assert "Traceback" not in process.stderr
-
-
-def is_alive(pid: int) -> bool:
-    """Return whether a process runs; a zombie does not."""
-    try:
-        return Path(f"/proc/{pid}/stat").read_text().rpartition(") ")[2][0] != "Z"
-    except OSError:
-        return False

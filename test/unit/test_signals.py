@@ -16,10 +16,7 @@ FLOOD = """
 import os, signal, threading
 from tactile_hand_ros.command_line import Interrupted, Signals
 
-signals = Signals()
-signals.install()
-
-pause = threading.Event()
+signals, pause = Signals().install(), threading.Event()
 
 def send():
     for _ in range(5000):
@@ -42,9 +39,7 @@ print(woken)
 @pytest.fixture
 def signals(hangups_count: None) -> Signals:
     """Return signals that are installed for the duration of the test."""
-    installed = Signals()
-    installed.install()
-    return installed
+    return Signals().install()
 
 
 def test_a_wait_without_a_signal_lasts_as_long_as_it_should(signals):

@@ -47,18 +47,12 @@ def test_what_is_refused_starts_nothing(tmp_path, monkeypatch, options, complain
     assert not (tmp_path / "runs").exists()
 
 
-@pytest.fixture
-def interrupted(handlers: None) -> Signals:
-    """Return signals after a first signal."""
-    signals = Signals()
-    signals.install()
+@pytest.mark.usefixtures("handlers")
+def test_a_signal_before_the_start_leaves_no_directory(tmp_path):
+    signals = Signals().install()
     os.kill(os.getpid(), signal.SIGINT)
-    return signals
-
-
-def test_a_signal_before_the_start_leaves_no_directory(tmp_path, interrupted):
     with isolated_domain(), pytest.raises(Interrupted, match="SIGINT"):
-        execute(RunOptions(out=tmp_path / "runs"), interrupted)
+        execute(RunOptions(out=tmp_path / "runs"), signals)
     assert not (tmp_path / "runs").exists()
 
 

@@ -50,11 +50,10 @@ class Hand:
         }
         node.create_subscription(PoseStamped, names.DESIRED_POSE, self._on_pose, user)
         node.create_subscription(Float64, names.USER_GRASP_FORCE, self._on_force, user)
-        services = [(names.CONTROLLER, "grasp", SetBool), (names.CONTROLLER, "reset", Trigger)]
-        services += [(names.REGULATOR, "reset", Trigger)]
-        services += [(names.PLANT, "reset", Trigger)] if plant else []
-        for owner, name, kind in services:
-            node.create_service(kind, f"{owner}/{name}", self._service(f"{owner}/{name}"))
+        resets = [names.CONTROLLER, names.REGULATOR, *([names.PLANT] if plant else [])]
+        services = {f"{names.CONTROLLER}/grasp": SetBool, **{f"{n}/reset": Trigger for n in resets}}
+        for name, kind in services.items():
+            node.create_service(kind, name, self._service(name))
 
     def _on_pose(self, message: PoseStamped) -> None:
         self.poses.append(message)
@@ -229,13 +228,3 @@ def test_nothing_is_reset_before_the_controller_is_there_and_the_sender_of_joint
         HandClient(node, 30.0).reset()
         assert called == [names.PLANT]
         plant.destroy_node()
-
-
-def test_without_a_hand_there_is_one_sentence(context):
-    domain = context.get_domain_id()
-    absent = f"no hand is running in ROS domain {domain} and namespace '/nowhere'"
-    with graph_node(context, "user", "/nowhere") as node:
-        client = HandClient(node, 0.02)
-        for command in (lambda: client.move([0.0] * 3, None), lambda: client.grasp(True)):
-            with pytest.raises(SteeringError, match=absent):
-                command()

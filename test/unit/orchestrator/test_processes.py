@@ -18,8 +18,6 @@ from tactile_hand_ros.ros.processes import executable_directory, wait_until
 
 STUBBORN = "trap '' INT TERM; echo ready; while :; do read line < /dev/zero; done"
 POLITE = "trap 'exit 0' INT; echo ready; while :; do tail -f /dev/null & wait; done"
-# Starts a child that ignores the signals.
-PARENT = "(trap '' INT TERM; exec tail -f /dev/null) & echo ready; trap 'exit 0' INT; wait"
 
 
 def shells(**programs: str) -> Processes:
@@ -74,12 +72,6 @@ def test_stubborn_process_is_killed_and_named(tmp_path, monkeypatch):
         started(processes, tmp_path, "mule")
         [complaint] = processes.stop([["mule"]])
         assert complaint.startswith(f"mule did not stop cleanly: code -{signal.SIGKILL}")
-
-
-def test_children_of_a_process_end_with_it(tmp_path):
-    with shells(parent=PARENT) as processes:
-        started(processes, tmp_path, "parent")
-        processes.stop([["parent"]])
 
 
 def test_block_that_fails_leaves_nothing(tmp_path):

@@ -166,8 +166,7 @@ class TestFolders:
         (folder / "scenario.yaml").write_text("duratoin: 3.0\n")
         run = Run(folder)
         assert "scenario.yaml: unknown key 'duratoin'" in run.scenario_problem
-        assert run.scenario is None and len(run.record) == 20
-        assert run.metrics.goal_reached is None
+        assert run.scenario is None and run.metrics.goal_reached is None
 
     @pytest.mark.parametrize("case", ["unknown", "known", "lost", "other"])
     def test_assumptions_are_those_of_a_hand_that_is_known(self, case, folder, tmp_path):
@@ -243,11 +242,9 @@ def test_absent_topics_are_named(tmp_path):
 def test_columns_for_tables(tmp_path):
     record = random_record()
     named = columns(record)
-    assert named["forces.finger_2.y"] is not None
     np.testing.assert_array_equal(named["forces.finger_2.y"], record.forces[:, 1, 1])
     np.testing.assert_array_equal(named["theta.joint_9"], record.theta[:, 8])
     np.testing.assert_array_equal(named["desired_quaternion.w"], record.desired_quaternion[:, 3])
-    np.testing.assert_array_equal(named["stamps"], record.stamps)
     arrays = [getattr(record, f.name) for f in fields(Record) if f.metadata]
     assert len(named) == sum(array[0].size for array in arrays)
 
@@ -312,21 +309,15 @@ def test_a_run_that_a_user_steered_is_not_judged(tmp_path):
     """The summary next to the bag decides; if it cannot be read, the goal applies."""
     write_record(tmp_path / "bag", random_record(3))
     assert not Run(tmp_path).steered
-    for text, steered in (
-        ('{"interactive": true}', True),
-        ('{"interactive": false}', False),
-        ("{}", False),
-        ("[1]", False),
-        ("{", False),
-    ):
+    for text in ('{"interactive": false}', "{}", "[1]", "{"):
         (tmp_path / "summary.json").write_text(text)
-        assert Run(tmp_path).steered is Run(tmp_path / "bag").steered is steered, text
+        assert not Run(tmp_path).steered, text
     (tmp_path / "summary.json").write_text('{"interactive": true}')
     (tmp_path / "scenario.yaml").write_text(resolved(load_scenario("paper")))
     judged = Run(tmp_path, steered=False)
     assert judged.metrics.goal_reached is False and judged.headline == "goal not reached"
-    finished = Run(tmp_path)
-    assert finished.metrics.goal_reached is None and finished.headline == "finished"
+    for finished in (Run(tmp_path), Run(tmp_path / "bag")):
+        assert finished.metrics.goal_reached is None and finished.headline == "finished"
 
 
 def test_refusals_of_both_nodes_come_in_the_order_of_their_ticks(tmp_path):
@@ -334,16 +325,11 @@ def test_refusals_of_both_nodes_come_in_the_order_of_their_ticks(tmp_path):
         for tick in range(4):
             tick_only(bag, tick, tick)
         late, early = 2 * 10**9 + 3, 10**9 + 5
-        for stamp, node, key in (
-            (late, "manipulation_controller", "a"),
-            (early, "slip_regulator", "b"),
-        ):
-            refused = request_message(stamp, node, key, "too far")
-            bag.write(f"/rejected/{node}", refused, stamp)
+        for stamp, node in ((late, "manipulation_controller"), (early, "slip_regulator")):
+            bag.write(f"/rejected/{node}", request_message(stamp, node, node, "too far"), stamp)
     run = Run(tmp_path / "bag")
-    assert run.refusals == [(early, "b", "too far"), (late, "a", "too far")]
     assert [each.text for each in run.events if each.kind == "refusal"] == [
-        "b is rejected: too far",
-        "a is rejected: too far",
+        "slip_regulator is rejected: too far",
+        "manipulation_controller is rejected: too far",
     ]
     assert run.requests == []

@@ -4,7 +4,7 @@
 import pytest
 
 from tactile_hand_ros.errors import BagError
-from tactile_hand_ros.run.reading import HandTopics, find_fingers, find_prefix
+from tactile_hand_ros.run.reading import find_fingers, find_prefix
 
 
 @pytest.mark.parametrize(
@@ -38,10 +38,3 @@ def test_fingers_in_natural_order_and_of_this_hand_only():
         "/l/tactile/contacts",
     ]
     assert find_fingers(given, "/l/") == ["f1", "f2", "f10"]
-
-
-def test_wrong_type():
-    hand = HandTopics("/", ["thumb"])
-    hand.check({"/clock": "rosgraph_msgs/msg/Clock"})
-    with pytest.raises(BagError, match="/optimal_force/thumb has the type std_msgs/msg/Float64"):
-        hand.check({"/optimal_force/thumb": "std_msgs/msg/Float64"})
