@@ -22,6 +22,7 @@ from support.recorded import (
 
 from tactile_hand_ros.closed_loop.record import Record
 from tactile_hand_ros.errors import BagError
+from tactile_hand_ros.run.reading import find_fingers, find_prefix
 from tactile_hand_ros.run.result import columns
 from tactile_hand_ros.run.run import Run
 from tactile_hand_ros.scenario.scenario import load_scenario, resolved
@@ -333,3 +334,36 @@ def test_refusals_of_both_nodes_come_in_the_order_of_their_ticks(tmp_path):
         "manipulation_controller is rejected: too far",
     ]
     assert run.requests == []
+
+
+@pytest.mark.parametrize(
+    ("namespace", "prefix"), [("left", "/left/"), ("/left/", "/left/"), ("", "/"), ("/", "/")]
+)
+def test_the_only_hand_is_found_or_the_one_that_is_chosen(namespace, prefix):
+    given = ["/left/joint_states", "/joint_states", "/right/joint_states"]
+    assert find_prefix(given, namespace, "bag") == prefix
+    assert find_prefix([f"{prefix}joint_states", "/clock"], None, "bag") == prefix
+
+
+@pytest.mark.parametrize(
+    ("topics", "namespace", "found"),
+    [
+        ("/right/joint_states /left/joint_states", None, "left, right"),
+        ("/left/joint_states", "up", "left"),
+        ("/joint_states_raw /other_joint_states /clock", None, "none"),
+    ],
+)
+def test_a_hand_that_is_not_clear_is_refused(topics, namespace, found):
+    with pytest.raises(BagError, match=f"in the namespaces: {found}; choose one"):
+        find_prefix(topics.split(), namespace, "bag")
+
+
+def test_fingers_in_natural_order_and_of_this_hand_only():
+    given = [
+        "/l/tactile/f10/wrench",
+        "/l/optimal_force/f2",
+        "/l/ground_truth/f1/wrench",
+        "/r/tactile/f3/wrench",
+        "/l/tactile/contacts",
+    ]
+    assert find_fingers(given, "/l/") == ["f1", "f2", "f10"]
