@@ -154,7 +154,7 @@ class Session:
         for name in dict.fromkeys(map(self.plan.process, configs)):
             self.signals.check()
             own = [node for node in configs if self.plan.process(node) == name]
-            words = [] if name != COMPOSED or RECORDER not in own else [names.RECORD]
+            words = [names.RECORD] if name == COMPOSED and RECORDER in own else []
             if self.plan.priority and name != RECORDER:
                 words += [PRIORITY, str(self.plan.priority)]
             words += common
@@ -270,7 +270,5 @@ def _stall(monitor: Monitor) -> str:
 def _process_age() -> float:
     """Return the age of this process [s], including the start of the interpreter."""
     with open("/proc/self/stat", encoding="ascii") as file:
-        fields = file.read().rpartition(")")[2].split()
-    with open("/proc/uptime", encoding="ascii") as file:
-        now = float(file.read().split()[0])
-    return now - int(fields[19]) / os.sysconf("SC_CLK_TCK")
+        start = int(file.read().rpartition(")")[2].split()[19]) / os.sysconf("SC_CLK_TCK")
+    return time.clock_gettime(time.CLOCK_BOOTTIME) - start

@@ -20,7 +20,6 @@ from tactile_hand_ros.simulation.plant import Plant
 
 LAYOUTS = ("three_faces", "pinch")
 
-
 EXPERIMENTS: Mapping[str, tuple[str, Mapping[str, Any]]] = {
     "optimal": ("paper", {}),
     "nominal": ("paper_nominal_weights", {}),
@@ -50,11 +49,8 @@ def run_experiment(key: str, layout: str, duration: float | None = None) -> Expe
 def scenario_of(key: str, layout: str, duration: float | None = None) -> Scenario:
     """Return the scenario of an experiment; ConfigurationError if layout or duration is invalid."""
     name, others = EXPERIMENTS[key]
-    changes = {"layout": layout, **others}
-    if duration is not None:
-        changes["duration"] = duration
-    options = {"layout": "--layout", "duration": "--duration"}
-    return load_scenario(name, changes, options)
+    changes = {"layout": layout, **others, **({} if duration is None else {"duration": duration})}
+    return load_scenario(name, changes, {"layout": "--layout", "duration": "--duration"})
 
 
 Outcomes = Mapping[str, ExperimentRun]

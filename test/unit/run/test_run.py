@@ -104,19 +104,15 @@ class TestRecord:
         np.testing.assert_array_equal(record.slip_evidence, [[0.3, 0.4]])
         np.testing.assert_array_equal(record.grip, [[1.0, 2.0]])
 
-    def test_contacts_of_another_number_of_fingers_are_unknown(self, tmp_path):
-        record = random_record()
-        with RunWriter(tmp_path / "bag") as bag:
-            write_tick(bag, record, 0, START)
-        assert np.isnan(Run(tmp_path / "bag", fingers=["finger_1"]).record.contact_positions).all()
-
     def test_fingers_have_the_order_that_is_asked_for_or_that_of_the_scenario(self, tmp_path):
+        """Contacts of another number of fingers are unknown."""
         record = random_record()
         said = {"scenario": resolved(load_scenario("paper"))}
         run = Run(write_record(tmp_path / "bag", record, custom_data=said))
         assert run.record.finger_names == ["finger_1", "finger_2", "finger_3"]
         given = Run(tmp_path / "bag", fingers=["finger_3", "finger_1", "finger_2"]).record
         np.testing.assert_array_equal(given.forces, record.forces[:, [2, 0, 1]])
+        assert np.isnan(Run(tmp_path / "bag", fingers=["finger_1"]).record.contact_positions).all()
         with pytest.raises(BagError, match="no finger 'finger1', but: finger_1, finger_2, fin"):
             Run(tmp_path / "bag", fingers=["finger1", "finger_2", "finger_3"])
 
@@ -189,14 +185,12 @@ class TestFolders:
         assert len(run.assumptions) == (9 if case == "known" else 0)
         assert problem in run.assumptions_problem and bool(problem) == bool(run.assumptions_problem)
 
-    def test_without_a_bag(self, tmp_path):
+    def test_without_a_bag_or_a_tick(self, tmp_path):
         with pytest.raises(BagError, match="nowhere does not exist"):
             Run(tmp_path / "nowhere")
         (tmp_path / "scenario.yaml").write_text("")
         with pytest.raises(BagError, match="has no folder bag/"):
             Run(tmp_path)
-
-    def test_bag_with_a_silent_hand(self, tmp_path):
         with RunWriter(tmp_path / "bag") as bag:
             bag.bag.add_channel("/joint_states", "sensor_msgs/msg/JointState")
         with pytest.raises(BagError, match="contains no ticks"):
