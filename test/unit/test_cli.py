@@ -72,7 +72,8 @@ def test_a_hand_is_printed_with_its_couplings_and_strength_and_drawn(tmp_path, c
     assert [row[6] for row in rows if row[1:2] == ["f2"]] == [f"{30.0 / levers.max():.2g}"]
     assert (tmp_path / "hand.png").is_file()
     assert "without collision shapes of links" in printed and "damping" not in printed
-    assert "is not a link of" in refused(capsys, "hand", broken_palm(path))
+    path.write_text(path.read_text() + "palm: wrist\n")
+    assert "is not a link of" in refused(capsys, "hand", path)
     assert "give a YAML file such as `{urdf: hand.urdf, palm: LINK" in refused(
         capsys, "hand", tmp_path / "hand.urdf"
     )
@@ -95,11 +96,6 @@ def test_notes_name_what_a_hand_file_states_and_what_becomes_of_it(tmp_path):
     damping, friction, stuck, *_ = notes(Hand.load(str(path)))
     assert "uses" in damping and "uses" in friction
     assert stuck == "f3_joint_3: friction is above the largest torque; nothing moves"
-
-
-def broken_palm(path: Path) -> Path:
-    path.write_text(path.read_text() + "palm: wrist\n")
-    return path
 
 
 def test_all_scenarios_are_listed_and_one_is_shown(tmp_path, capsys):

@@ -51,17 +51,11 @@ def test_a_defect_is_not_hidden():
 
 
 @pytest.mark.usefixtures("hangups_count")
-@pytest.mark.parametrize(
-    ("number", "usual", "sentence"),
-    [
-        (signal.SIGINT, signal.default_int_handler, "program: interrupted.\n"),
-        (signal.SIGTERM, signal.SIG_DFL, "program: ended by SIGTERM.\n"),
-        (signal.SIGHUP, signal.SIG_DFL, "program: ended by SIGHUP.\n"),
-    ],
-)
-def test_a_signal_ends_a_command_in_order_while_it_runs_and_only_then(
-    number, usual, sentence, capsys
-):
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_a_signal_ends_a_command_in_order_while_it_runs_and_only_then(number, capsys):
+    usual, sentence = signal.SIG_DFL, f"ended by {number.name}."
+    if number == signal.SIGINT:
+        usual, sentence = signal.default_int_handler, "interrupted."
     was_ended = []
 
     def command() -> None:
@@ -72,7 +66,7 @@ def test_a_signal_ends_a_command_in_order_while_it_runs_and_only_then(
 
     signal.signal(number, usual)
     assert run_command("program", command) == 128 + number
-    assert was_ended and capsys.readouterr().err == sentence
+    assert was_ended and capsys.readouterr().err == f"program: {sentence}\n"
     assert signal.getsignal(number) is usual
     signal.signal(number, signal.SIG_IGN)
     assert run_command("program", lambda: signal.raise_signal(number)) == 0

@@ -33,15 +33,6 @@ def started(processes: Processes, folder: Path, *names: str) -> None:
         wait_until(lambda log=log: "ready" in log.read_text())
 
 
-def _is_ours(process: psutil.Process, folder: Path) -> bool:
-    if process.pid == os.getpid():
-        return False
-    try:
-        return process.environ().get("RUN_OF_TEST") == str(folder)
-    except psutil.Error:
-        return False
-
-
 @pytest.fixture(autouse=True)
 def marked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """Mark the processes of a test, and assert that none is left."""
@@ -49,7 +40,9 @@ def marked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     yield
 
     def nothing_is_left() -> bool:
-        return not any(_is_ours(each, tmp_path) for each in psutil.process_iter())
+        others = [each for each in psutil.process_iter(["environ"]) if each.pid != os.getpid()]
+        found = [(each.info["environ"] or {}).get("RUN_OF_TEST") for each in others]
+        return str(tmp_path) not in found
 
     wait_until(nothing_is_left)
 

@@ -2,6 +2,7 @@
 """Commands of users and of the orchestrator arrive, and their own answers return."""
 
 from collections.abc import Callable, Iterator
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -197,42 +198,27 @@ def test_a_hand_that_is_paused_does_not_answer(hand, client, context):
     assert len(hand.forces) == 1
 
 
-@pytest.fixture
-def half(context: Context) -> Iterator[Node]:
-    """Return a node for an incomplete hand."""
-    node = Node("half", context=context, namespace="/half")
-    yield node
-    node.destroy_node()
-
-
-def test_nothing_is_reset_before_the_controller_is_there_and_the_sender_of_joints_is_known(
-    half, context
-):
+def test_nothing_is_reset_before_the_controller_is_there_and_the_sender_of_joints_is_known(make):
     """If the plant is discovered late, a partial reset must not be reported as a reset."""
-    called: list[str] = []
+    half, node, called = make("half"), make("user"), list[str]()
 
-    def answer(name: str) -> Callable[[Any, Trigger.Response], Trigger.Response]:
-        def reset(_: Any, response: Trigger.Response) -> Trigger.Response:
-            called.append(name)
-            response.success = True
-            return response
+    def reset(name: str, _: Any, response: Trigger.Response) -> Trigger.Response:
+        called.append(name)
+        response.success = True
+        return response
 
-        return reset
-
-    half.create_service(Trigger, f"{names.PLANT}/reset", answer(names.PLANT))
-    with spinning(half), graph_node(context, "user", "/half") as node:
+    half.create_service(Trigger, f"{names.PLANT}/reset", partial(reset, names.PLANT))
+    with spinning(half):
         with pytest.raises(SteeringError, match="no hand is"):
             HandClient(node, 0.3).reset()
         for name in (names.CONTROLLER, names.REGULATOR):
-            half.create_service(Trigger, f"{name}/reset", answer(name))
+            half.create_service(Trigger, f"{name}/reset", partial(reset, name))
         with pytest.raises(SteeringError, match="joint_states has no publisher"):
             HandClient(node, 3.0).reset()
         assert called == []
-        plant = Node(names.PLANT, context=context, namespace="/half")
-        plant.create_publisher(JointState, names.JOINT_STATES, qos.tick_qos())
+        make(names.PLANT).create_publisher(JointState, names.JOINT_STATES, qos.tick_qos())
         HandClient(node, 30.0).reset()
         assert called == [names.PLANT]
-        plant.destroy_node()
 
 
 TARGETS = [
