@@ -11,6 +11,7 @@ import shutil
 import signal
 import subprocess
 from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager
 from pathlib import Path
 
 from tactile_hand_ros.errors import TactileHandError
@@ -85,17 +86,13 @@ def _ros2() -> str | None:
     return ros2 if Path(found.stdout.strip()) == executable_directory().parents[1] else None
 
 
-class Processes:
+class Processes(AbstractContextManager["Processes"]):
     """The processes of a run; the context stops all of them when it exits."""
 
     def __init__(self, command: Program = started_by) -> None:
         """Prepare; `command` returns program and first arguments for an executable."""
         self._command = command
         self._started: dict[str, NodeProcess] = {}
-
-    def __enter__(self) -> Processes:
-        """Return the processes."""
-        return self
 
     def __exit__(self, *_: object) -> None:
         """Stop all running processes."""

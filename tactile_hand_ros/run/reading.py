@@ -71,11 +71,9 @@ def find_prefix(topics: Iterable[str], namespace: str | None, bag: object) -> st
     wanted = next(iter(hands), "") if namespace is None and len(hands) < 2 else namespace
     if wanted is not None and wanted.strip("/") in hands:
         return hands[wanted.strip("/")]
-    listed = ", ".join(sorted(hand or "/" for hand in hands)) or "none"
-    raise BagError(
-        f"The bag {bag} has the topic {names.JOINT_STATES} in the namespaces: {listed}; "
-        "choose one of them."
-    )
+    listed = ", ".join(sorted(hand or "/" for hand in hands))
+    where = f"the namespaces: {listed}; choose one of them" if hands else "no namespace"
+    raise BagError(f"The bag {bag} has the topic {names.JOINT_STATES} of a hand in {where}.")
 
 
 def find_fingers(topics: Iterable[str], prefix: str) -> list[str]:

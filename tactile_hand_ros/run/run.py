@@ -147,7 +147,13 @@ class Run(Result):
         of_hand: list[str] = []
         with suppress(TactileHandError):  # the hand's file stayed on the machine of the run
             of_hand = load_hand_config(self.scenario.hand).finger_names if self.scenario else []
-        return HandTopics(prefix, list(fingers or (of_hand if set(seen) <= set(of_hand) else seen)))
+        named = list(fingers or (of_hand if set(seen) <= set(of_hand) else seen))
+        topics = HandTopics(prefix, named)
+        wrong = [topic for topic, kind in topics.types.items() if types.get(topic, kind) != kind]
+        if wrong:
+            listed = ", ".join(f"{topic} ({types[topic]})" for topic in wrong)
+            raise BagError(f"Topics of the bag {self.bag} have wrong types: {listed}.")
+        return topics
 
     def _take(self, messages: Mapping[str, TopicMessages]) -> Run:
         """Fill in everything that follows from the messages of one section."""

@@ -185,6 +185,13 @@ class TestFolders:
         assert len(run.assumptions) == (9 if case == "known" else 0)
         assert problem in run.assumptions_problem and bool(problem) == bool(run.assumptions_problem)
 
+    def test_topics_of_another_type_are_refused(self, tmp_path):
+        with RunWriter(tmp_path / "bag") as bag:
+            tick_only(bag, 0, 0)
+            bag.write("/grip_state", pose_message((0.0, 0.0, 0.0), STRAIGHT, 0), 1)
+        with pytest.raises(BagError, match=r"/grip_state \(geometry_msgs/msg/PoseStamped\)"):
+            Run(tmp_path)
+
     def test_without_a_bag_or_a_tick(self, tmp_path):
         with pytest.raises(BagError, match="nowhere does not exist"):
             Run(tmp_path / "nowhere")
@@ -342,13 +349,13 @@ def test_the_only_hand_is_found_or_the_one_that_is_chosen(namespace, prefix):
 @pytest.mark.parametrize(
     ("topics", "namespace", "found"),
     [
-        ("/right/joint_states /left/joint_states", None, "left, right"),
-        ("/left/joint_states", "up", "left"),
-        ("/joint_states_raw /other_joint_states /clock", None, "none"),
+        ("/right/joint_states /left/joint_states", None, "the namespaces: left, right; choose one"),
+        ("/left/joint_states", "up", "the namespaces: left; choose one"),
+        ("/joint_states_raw /other_joint_states /clock", None, "no namespace"),
     ],
 )
 def test_a_hand_that_is_not_clear_is_refused(topics, namespace, found):
-    with pytest.raises(BagError, match=f"in the namespaces: {found}; choose one"):
+    with pytest.raises(BagError, match=f"joint_states of a hand in {found}"):
         find_prefix(topics.split(), namespace, "bag")
 
 
