@@ -90,7 +90,7 @@ class Monitor:
         elif math.isnan(error):
             pose = "pose error unknown"
         else:
-            pose = f"pose error {1e3 * error:.4g} mm"
+            pose = f"pose error {1e3 * error:.3f} mm"
         return f"{pose}  k_f " + ("-" if force is None else f"{float(force):.2f} N")
 
 
