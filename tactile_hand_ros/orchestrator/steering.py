@@ -81,10 +81,10 @@ class Steering:
             self._deliver(self._poses, f"the desired pose for t = {target.time} s")
 
     def send_forces(self, stamp: int) -> None:
-        """Send the newest user grasp force that is due at a tick [ns]; raise SteeringError if lost.
+        """Send the newest user grasp force that is due at a tick [ns], if there is one.
 
         Like all manual commands, forces carry no timestamp: when one takes effect depends on its
-        travel time and may vary between runs.
+        travel time and may vary between runs. Raise SteeringError if it is not acknowledged.
         """
         due = [each for each in self._waiting if each.stamp <= stamp]
         self._waiting = self._waiting[len(due) :]
@@ -105,7 +105,8 @@ class Steering:
     def run(self, on: bool, timeout: float = _PATIENCE, check: bool = True) -> None:
         """Let the plant run or pause, and wait for its answer, at most `timeout` [s].
 
-        With `check`, the constructor's may end the wait. Raise SteeringError without approval.
+        With `check`, the constructor's `check` may end the wait early. Raise SteeringError if the
+        plant rejects the call or does not answer.
         """
         future = self._client.call_async(SetBool.Request(data=on))
 
@@ -188,7 +189,10 @@ class HandClient:
         return 1e-9 * stamp_to_ns(taken.header.stamp)
 
     def grasp(self, close: bool) -> str:
-        """Close the fingers until all touch, or open them; return the answer, or SteeringError."""
+        """Close the fingers until all touch, or open them; return the answer.
+
+        Raise SteeringError if there is no hand, or it rejects the request.
+        """
         return self._call(SetBool, f"{names.CONTROLLER}/grasp", SetBool.Request(data=close))
 
     def reset(self) -> str:

@@ -103,7 +103,7 @@ class RunData:
 
     @property
     def assumptions_problem(self) -> str:
-        """Why a run with a scenario has no assumptions: on this machine its hand is another."""
+        """Why a run with a scenario has no assumptions, empty otherwise."""
         return self._hand[1]
 
     @cached_property
