@@ -25,19 +25,12 @@ _ENDS: dict[signal.Signals, Any] = {
 
 
 def run_command(program: str, command: Callable[[], Any]) -> int:
-    """Run a command and return its exit code.
+    """Run a command, which returns an exit code or anything else for success; return the code.
 
-    Args:
-        program: Name of the program, put before each sentence.
-        command: Returns an exit code, or anything else for success.
-
-    Returns:
-        0 after success; 2, with one sentence on stderr, if the input was rejected or could not be
-        read or written; 128 plus the number of a signal that ended it, such as 130 after Ctrl-C.
+    It is 0 after success; 2, with one sentence on stderr, if the input was rejected or could not be
+    read or written; 128 plus the number of a signal that ended it, such as 130 after Ctrl-C.
     """
-    if sys.stdout is None:
-        say(program, "the standard output is closed; redirect it to a file or to /dev/null.")
-        return EXIT_REFUSED
+    sys.stdout = sys.stdout or open(os.devnull, "w")  # noqa: SIM115
     _print_any_character()
     try:
         with _ended_by_signals():
@@ -103,8 +96,8 @@ class Signals:
         # deadlock on the lock that the interrupted `wait` holds.
         self._came: queue.SimpleQueue[int] = queue.SimpleQueue()
 
-    def install(self) -> None:
-        """Install the handlers; an ignored SIGHUP stays ignored, so that ``nohup`` works.
+    def install(self) -> Signals:
+        """Install the handlers and return self; an ignored SIGHUP stays ignored, as for ``nohup``.
 
         Shells without job control start background jobs with SIGINT ignored. Like rclpy, this
         handles it all the same, because SIGINT ends a run.
@@ -112,6 +105,7 @@ class Signals:
         for number in _ENDS:
             if number != signal.SIGHUP or signal.getsignal(number) is not signal.SIG_IGN:
                 signal.signal(number, self._note)
+        return self
 
     def _note(self, number: int, frame: FrameType | None) -> None:
         self.number = self.number or number

@@ -21,9 +21,6 @@ from tactile_hand_ros.errors import ConfigurationError
 def take_law(config: LawConfig) -> None:
     """Import the law that a configuration names, unless it is one of this package.
 
-    Args:
-        config: Name and folder of the law.
-
     Raises:
         ConfigurationError: If there is no such module or class, or it is not a law.
     """
@@ -38,13 +35,7 @@ def take_law(config: LawConfig) -> None:
 
 
 def known_law(law: Any) -> str:
-    """Register a class of the running program as a law.
-
-    Args:
-        law: The class.
-
-    Returns:
-        Its name for `LawConfig.name`.
+    """Register a class of the running program as a law; return its name for `LawConfig.name`.
 
     Raises:
         ConfigurationError: If it is not a law.
@@ -56,12 +47,7 @@ def known_law(law: Any) -> str:
 
 
 def folder_of(name: str, candidate: Path) -> str:
-    """Return the folder to import a law from, empty for PYTHONPATH.
-
-    Args:
-        name: Name of the law.
-        candidate: Folder that is returned if it has the module.
-    """
+    """Return the `candidate` if it has the module of a law, else empty: from PYTHONPATH."""
     top = name.partition(":")[0].partition(".")[0]
     is_there = (candidate / f"{top}.py").is_file() or (candidate / top / "__init__.py").is_file()
     return str(candidate.resolve()) if ":" in name and is_there else ""

@@ -27,15 +27,11 @@ EXAMPLES = {
     "live": "live human_hold --set plant.rate=500",
     "grasp": "grasp my/my_hand.yaml 0.06",
     "release": "release --namespace /left",
-    "reset": "reset --namespace /left",
-    "scenarios": "scenarios",
     "show": "show human_pull",
     "hand": "hand my/hand.yaml",
     "sweep": 'sweep paper --over "calibration.link_lengths=0.9..1.1"',
     "reproduce": "reproduce --layout pinch",
     "report": "report runs/latest --out .",
-    "summary": "summary runs/latest",
-    "recover": "recover runs/latest",
     "replay": "replay runs/latest --rate 2 --topics /joint_states",
     "move": "move 0.0 0.0436 0.4118 --rotation 0 0 -3",
     "squeeze": "squeeze 12",
@@ -91,11 +87,7 @@ def tactile_hand(
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run a command and return its exit code; `arguments` lacks the program's name.
-
-    Returns:
-        0 after success, 2 after a rejection (one sentence on stderr), 130 after Ctrl-C.
-    """
+    """Run a command and return its exit code; `arguments` lacks the program's name."""
     prepare_for_ros()
     use_own_prefix()
     # Stay on this machine by default.

@@ -127,7 +127,7 @@ def reproduce(
     with steps("running the paper", len(layouts) * len(EXPERIMENTS)) as advance, workers(jobs):
         results = r.reproduce(layouts, duration, advance)
     files = [file for result in results for file in r.draw(result, out)]
-    files += r.write(results, out)
+    files.append(r.write(results, out))
     for result in results:
         console().print(r.claim_table(result))
     print_files(files, out)

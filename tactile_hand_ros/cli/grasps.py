@@ -15,12 +15,7 @@ from tactile_hand_ros.errors import GraspError, TactileHandError
 from tactile_hand_ros.hand.hand import Hand
 from tactile_hand_ros.report.scene import hand_figure
 from tactile_hand_ros.report.style import save
-from tactile_hand_ros.scenario.grasp_search import (
-    FoundGrasp,
-    number_of_starts,
-    scenario_values,
-    search,
-)
+from tactile_hand_ros.scenario.grasp_search import number_of_starts, scenario_values, search
 from tactile_hand_ros.simulation.plant_config import ObjectConfig
 
 COLUMNS = ("", "load, N", "largest k_f, N", "friction needed", "room left, %")
@@ -35,13 +30,8 @@ def find_grasp(
 ) -> None:
     """Search for grasps of an object, print the best, and write a scenario with a picture.
 
-    Args:
-        hand: Name or YAML file.
-        edges: One edge of a cube, diameter and length, or three edges of the box around it, m.
-        shape: See `ObjectConfig`.
-        friction: Friction coefficient.
-        mass: Mass of the object, kg; 0 for a fifth of what the hand can hold, at most 0.2 kg.
-        folder: For the files.
+    `edges` [m] are one edge of a cube, diameter and length, or three edges of the box around it.
+    A `mass` [kg] of 0 stands for a fifth of what the hand can hold, at most 0.2 kg.
 
     Raises:
         TactileHandError: If the edges or the hand cannot be used, or no grasp was found.
@@ -59,11 +49,11 @@ def find_grasp(
     with steps("searching", number_of_starts(built, body)) as advance:
         found = search(built, body, advance=advance)
     best = found[0]
-    print_table(
-        f"{len(found)} grasps, the best first",
-        COLUMNS,
-        [_row(i, g) for i, g in enumerate(found[:_SHOWN], 1)],
-    )
+    rows = []
+    for number, grasp in enumerate(found[:_SHOWN], 1):
+        values = grasp.load, grasp.grasp_force, grasp.friction, 100.0 * grasp.room
+        rows.append([str(number), *(f"{value:.2g}" for value in values)])
+    print_table(f"{len(found)} grasps, the best first", COLUMNS, rows)
     if best.motions < 6:
         print(
             f"with {built.joints} joints, the hand moves the object in {best.motions} of 6 "
@@ -80,14 +70,9 @@ def find_grasp(
     kind = "" if shape == "box" else f"{shape}_"
     name = f"{Path(hand).stem}_{kind}{1e3 * size[0]:.0f}mm"
     where = str(Path(hand).resolve()) if Path(hand).is_file() else hand
-    values = scenario_values(where, body.changed({"mass": chosen}), best)
+    scenario = scenario_values(where, body.changed({"mass": chosen}), best)
     file = folder / f"{name}.yaml"
-    file.write_text(yaml.safe_dump(values, sort_keys=False), encoding="utf-8")
-    drawn = hand_figure(built, best.theta, ObjectConfig(**values["plant"]["object"]))
+    file.write_text(yaml.safe_dump(scenario, sort_keys=False), encoding="utf-8")
+    drawn = hand_figure(built, best.theta, ObjectConfig(**scenario["plant"]["object"]))
     print_files([file, *save(drawn, folder, name)], folder)
     print(f"next: tactile-hand run {file}")
-
-
-def _row(number: int, grasp: FoundGrasp) -> list[str]:
-    numbers = grasp.load, grasp.grasp_force, grasp.friction, 100.0 * grasp.room
-    return [str(number), *(f"{value:.2g}" for value in numbers)]

@@ -36,8 +36,8 @@ def live(options: LiveOptions) -> None:
 
     Prints the link of the page and opens it. The nodes share one process, in lockstep at the speed
     of real time; --processes and --pacing realtime change that. The scenario is 'gravity' by
-    default. The run lasts until Ctrl-C; no goal is judged,
-    only whether the object fell. Exit codes are those of `run`.
+    default. The run lasts until Ctrl-C; no goal is judged, only whether the object fell. Exit codes
+    are those of `run`.
     """
     if options.bag is not None:
         _show(options.bag, options.browser)
@@ -56,16 +56,10 @@ def live(options: LiveOptions) -> None:
     if not turns and not load_scenario(own.wanted).plant.palm_motion:
         # At rest until the page turns it. With a motion there is an IMU that measures it.
         changes.append("plant.palm_motion=[{time: 0, rotation: [0, 0, 0]}]")
-    own = dataclasses.replace(
-        own,
-        interactive=True,
-        composed=options.composed is not False,
-        changes=changes,
-    )
+    composed = options.composed is not False
+    own = dataclasses.replace(own, interactive=True, composed=composed, changes=changes)
     companion = functools.partial(cockpit, port=options.port, browser=options.browser)
-    signals = Signals()
-    signals.install()
-    raise typer.Exit(start(own, signals, [], "tactile-hand live", companion))
+    raise typer.Exit(start(own, Signals().install(), [], "tactile-hand live", companion))
 
 
 def _show(bag: Path, browser: bool) -> None:

@@ -17,14 +17,6 @@ from tactile_hand_ros.errors import TactileHandError, counted
 if TYPE_CHECKING:
     from rich.console import Console
 
-EXIT_DIFFERS = 1
-"""Exit code if recomputed results differ from the bag."""
-
-BagArgument = Annotated[Path, typer.Argument(help="Folder of a run, or a bag folder or file.")]
-NamespaceOption = Annotated[
-    str | None, typer.Option(help="Namespace of the hand, if the bag holds several.")
-]
-
 
 def _number_of_processes(jobs: int) -> int:
     if jobs == 0:
@@ -81,9 +73,7 @@ def print_files(files: Sequence[Path], folder: Path) -> None:
 def bar(title: str, total: float | None = None) -> Iterator[Callable[..., None]]:
     """Show a bar on a terminal, nothing elsewhere; without `total`, it has no end.
 
-    Yields:
-        A function that updates the bar; see `rich.progress.Progress.update`. Its field ``text`` is
-        shown next to the bar.
+    Yield `rich.progress.Progress.update`; its field ``text`` is shown next to the bar.
     """
     from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 

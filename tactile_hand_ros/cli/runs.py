@@ -9,21 +9,15 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from tactile_hand_ros.cli.output import (
-    EXIT_DIFFERS,
-    BagArgument,
-    NamespaceOption,
-    bar,
-    check_writable,
-    print_table,
-)
+from tactile_hand_ros.cli.output import bar, check_writable, print_table
 from tactile_hand_ros.errors import TactileHandError, counted
 
 if TYPE_CHECKING:
     from tactile_hand_ros.run.run import Run
 
-RunArgument = Annotated[
-    Path, typer.Argument(help="Folder of a run, or a bag; runs/latest by default.")
+RunArgument = Annotated[Path, typer.Argument(help="Folder of a run, or a bag folder or file.")]
+NamespaceOption = Annotated[
+    str | None, typer.Option(help="Namespace of the hand, if the bag holds several.")
 ]
 LATEST = Path("runs/latest")
 
@@ -68,7 +62,7 @@ def _open(path: Path, namespace: str | None) -> Run:
 
 
 def replay(
-    bag: BagArgument = LATEST,
+    bag: RunArgument = LATEST,
     rate: Annotated[float, typer.Option(metavar="FACTOR", help="Times the original speed.")] = 1.0,
     topics: Annotated[
         list[str] | None,
@@ -111,7 +105,7 @@ def _recompute(bag: Path, namespace: str, law: str) -> None:
     if not result.same:
         text = "The answers differ: another law, other versions of code or libraries, or lost "
         print(f"{text}messages (see `tactile-hand summary`).", file=sys.stderr)
-        raise typer.Exit(EXIT_DIFFERS)
+        raise typer.Exit(1)
 
 
 def _publish(
@@ -152,7 +146,7 @@ def _publish(
 
 
 def recover(
-    bag: BagArgument,
+    bag: RunArgument,
     out: Annotated[
         Path | None, typer.Option(help="Folder to create; by default next to the bag.")
     ] = None,

@@ -28,7 +28,7 @@ def run(context: typer.Context, options: RunOptions) -> None:
     2: the scenario was refused and nothing was started; 3: the object was dropped; 130, 143: ended
     by SIGINT, SIGTERM. Without a recording nothing is judged: 0 means that nothing failed.
     """
-    signals, ros_arguments = context.obj or (_watching(), [])
+    signals, ros_arguments = context.obj or (Signals().install(), [])
     raise typer.Exit(start(options, signals, ros_arguments, str(context.find_root().info_name)))
 
 
@@ -40,13 +40,12 @@ def start(
     companion: Callable[..., AbstractContextManager[None]] | None = None,
 ) -> int:
     """Load the orchestrator, run a scenario and return the exit code; see `execute.execute`."""
+    from tactile_hand_ros.compiled import run_interpreted
     from tactile_hand_ros.ros.middleware import check_environment
 
     check_environment(os.environ)
-    # Loading takes half a second; a Ctrl-C during that time must not interrupt an import.
-    from tactile_hand_ros.compiled import run_interpreted
-
     run_interpreted()  # the check is too short to justify loading Numba
+    # Loading takes half a second; a Ctrl-C during that time must not interrupt an import.
     from tactile_hand_ros.orchestrator.execute import execute
 
     try:
@@ -56,26 +55,16 @@ def start(
         return signals.exit_code
 
 
-def _watching() -> Signals:
-    signals = Signals()
-    signals.install()
-    return signals
-
-
 def main(args: Sequence[str] | None = None) -> int:
     """Run the orchestrator and return its exit code; `args` includes the program name."""
     prepare_for_ros()
-    signals = _watching()
+    signals = Signals().install()
     line = list(sys.argv if args is None else args)
 
     def command() -> object:
         own, ros_arguments = split_ros_arguments(line)
-        return app(
-            args=own,
-            prog_name="orchestrator",
-            standalone_mode=False,
-            obj=(signals, ros_arguments),
-        )
+        given = (signals, ros_arguments)
+        return app(args=own, prog_name="orchestrator", standalone_mode=False, obj=given)
 
     return run_command("orchestrator", command)
 

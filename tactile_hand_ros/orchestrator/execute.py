@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import contextlib
-import errno
 import functools
 import hashlib
 import socket
@@ -24,7 +23,6 @@ from tactile_hand_ros.orchestrator.monitor import View, line_console
 from tactile_hand_ros.orchestrator.options import RunOptions
 from tactile_hand_ros.orchestrator.run_directory import RunDirectory
 from tactile_hand_ros.orchestrator.session import Plan, RunOutcome, Session
-from tactile_hand_ros.orchestrator.steering import how_to_steer
 from tactile_hand_ros.ros.middleware import full_namespace, graph_node, ros_context
 from tactile_hand_ros.ros.scheduling import parse_priority
 from tactile_hand_ros.scenario.preflight import check_scenario
@@ -45,11 +43,8 @@ def execute(
 ) -> int:
     """Run a scenario with these options, and return the exit code.
 
-    `companion` makes a context around the run from its plan, its directory and the console.
-
-    Raises:
-        TactileHandError: If the scenario was rejected; nothing was started.
-        Interrupted: If a signal came before anything was started.
+    `companion` makes a context around the run from its plan, its directory and the console. Raise
+    TactileHandError for a rejected scenario, Interrupted after a signal, before anything starts.
     """
     scenario, priority = _checked(options), parse_priority(str(options.priority))
     # The first compilation takes long; during a run the plant would miss its deadlines.
@@ -103,8 +98,7 @@ def _announce(plan: Plan, directory: RunDirectory, options: RunOptions, console:
         show("real time: the nodes share one process; --processes gives each node its own")
     show(f"starting nodes; logs: {directory.path / 'logs'}")
     if plan.interactive:
-        hint = how_to_steer(plan.namespace, plan.scenario.targets)
-        show(f"Ctrl-C ends the run. To move the hand: {hint}")
+        show("Ctrl-C ends the run; `tactile-hand move`, `squeeze`, `release` and others steer it")
 
 
 def _conclude(
@@ -137,20 +131,15 @@ def _conclude(
 
 @contextlib.contextmanager
 def single_run_lock(domain: int, namespace: str) -> Iterator[None]:
-    """Lock a domain and namespace on this machine, so that each hand has one orchestrator only.
+    """Lock a domain and namespace on this machine; raise RunInProgressError if a run holds them.
 
     The lock is an abstract socket: the kernel removes it when this process exits, however it ends.
-
-    Raises:
-        RunInProgressError: If another run holds it.
     """
     name = hashlib.sha256(f"{domain}{namespace}".encode()).hexdigest()  # of fixed length
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as lock:
         try:
             lock.bind(f"\0tactile_hand_ros/{name}")
-        except OSError as error:
-            if error.errno != errno.EADDRINUSE:
-                raise
+        except OSError:
             raise RunInProgressError(
                 f"a run is in progress in ROS domain {domain} and namespace '{namespace}'; stop "
                 "it, or give this one another --namespace or ROS_DOMAIN_ID"

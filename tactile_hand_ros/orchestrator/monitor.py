@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import contextlib
 import math
-import time
 from collections.abc import Iterator, Mapping, Sequence
 from typing import IO, Any
 
@@ -83,7 +82,7 @@ class Monitor:
         return is_still and self.answered() >= int(plant["tick_ns"])
 
     def in_words(self) -> str:
-        """Return pose error and grasp force in words; no error unless the controller is driving."""
+        """Return pose error and grasp force; no error unless the controller is driving."""
         controller, force = self.of(CONTROLLER), self.of(REGULATOR).get("grasp_force_n")
         mode, error = controller.get("mode", ""), float(controller.get("position_error_m", "nan"))
         if mode not in ("", "drive"):  # after a drop, for example, the last error is stale
@@ -91,7 +90,7 @@ class Monitor:
         elif math.isnan(error):
             pose = "pose error unknown"
         else:
-            pose = f"pose error {1e3 * error:.{3 if error < 0.01 else 1}f} mm"
+            pose = f"pose error {1e3 * error:.3f} mm"
         return f"{pose}  k_f " + ("-" if force is None else f"{float(force):.2f} N")
 
 
@@ -106,7 +105,7 @@ def missing_endpoints(
     Args:
         node: Any node in the namespace of the run.
         members: Names of the nodes. A recorder among them must receive every topic except user
-            commands; omit a recorder that shares a process with the publishers.
+            commands; omit one that shares a process with the publishers.
         facts: The values in the diagnostics of the nodes, by full name.
     """
     prefix = node.get_namespace().rstrip("/")
@@ -145,12 +144,11 @@ def line_console(file: IO[str], **options: Any) -> Console:
 
 
 class View:
-    """Progress of a run: a line every `period` [s], and each new fault."""
+    """Progress of a run: a line every `period` [s], and each new fault; nothing if quiet."""
 
     def __init__(self, console: Console, duration: float | None, *, quiet: bool) -> None:
         """Prepare; `duration` is the simulated time of the run [s], None for an endless run."""
         self._console, self._of = console, "" if duration is None else f" of {duration:g}"
-        self._first: tuple[float, float] | None = None  # wall and simulated time, s
         self._fault = ""
         self.period = math.inf if quiet else _LINE_PERIOD
 
@@ -163,12 +161,4 @@ class View:
         if fault and fault != self._fault:
             self._console.print(f"t = {at:.2f} s  ! {fault}", soft_wrap=True)
         self._fault = fault
-        facts = f"{monitor.in_words()}  {self._speed(at):.2f} x real time"
-        self._console.print(f"t = {at:.2f}{self._of} s  {facts}", soft_wrap=True)
-
-    def _speed(self, at: float) -> float:
-        """Return simulated time per wall-clock time since the first tick or the last reset."""
-        now = time.monotonic()
-        if self._first is None or at <= self._first[1]:
-            self._first = (now, at)
-        return (at - self._first[1]) / max(now - self._first[0], 1e-9)
+        self._console.print(f"t = {at:.2f}{self._of} s  {monitor.in_words()}", soft_wrap=True)

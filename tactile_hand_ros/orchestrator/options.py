@@ -17,13 +17,6 @@ from tactile_hand_ros.errors import ConfigurationError
 Result = TypeVar("Result")
 
 
-def _scenarios(incomplete: str) -> list[str]:
-    """Complete the name of a scenario in a shell."""
-    from tactile_hand_ros.config.paths import scenario_names
-
-    return [name for name in scenario_names() if name.startswith(incomplete)]
-
-
 @dataclass(frozen=True)
 class RunOptions:
     """The options of a run."""
@@ -31,9 +24,7 @@ class RunOptions:
     scenario: Annotated[
         str | None,
         typer.Argument(
-            help="Scenario by name or YAML file, 'paper' by default.",
-            autocompletion=_scenarios,
-            show_default=False,
+            help="Scenario by name or YAML file, 'paper' by default.", show_default=False
         ),
     ] = None
     named: Annotated[

@@ -11,6 +11,7 @@ import shutil
 import signal
 import subprocess
 from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager
 from pathlib import Path
 
 from tactile_hand_ros.errors import TactileHandError
@@ -23,8 +24,7 @@ from tactile_hand_ros.ros.processes import (
 )
 
 _TAIL = 15  # lines of a log that are shown
-_ROS2_PATIENCE = 20.0
-"""Longest wait for ``ros2`` to find this package [s]; it takes one second on an idle computer."""
+_ROS2_PATIENCE = 20.0  # s for ``ros2`` to find this package; one suffices on an idle computer
 
 Program = Callable[[str, list[str]], list[str]]
 """Returns the full command for an executable and the command that it runs under."""
@@ -62,9 +62,7 @@ class NodeProcess(ChildProcess):
 
 
 def started_by(name: str, guard: list[str]) -> list[str]:
-    """Return the command for an executable: ``ros2 run``, or its file if there is no ``ros2``.
-
-    The executable runs under the command `guard`.
+    """Return the command for an executable under `guard`: ``ros2 run``, or its file without `ros2`.
 
     Raises:
         ExecutableError: If it does not exist.
@@ -88,7 +86,7 @@ def _ros2() -> str | None:
     return ros2 if Path(found.stdout.strip()) == executable_directory().parents[1] else None
 
 
-class Processes:
+class Processes(AbstractContextManager["Processes"]):
     """The processes of a run; the context stops all of them when it exits."""
 
     def __init__(self, command: Program = started_by) -> None:
@@ -96,20 +94,12 @@ class Processes:
         self._command = command
         self._started: dict[str, NodeProcess] = {}
 
-    def __enter__(self) -> Processes:
-        """Return the processes."""
-        return self
-
     def __exit__(self, *_: object) -> None:
         """Stop all running processes."""
         self.stop([list(self._started)])
 
     def start(self, name: str, log: Path, *arguments: str, records: bool = False) -> None:
-        """Start an executable; `records` lets it finish a bag if the orchestrator dies.
-
-        Raises:
-            ExecutableError: If it does not exist.
-        """
+        """Start an executable; `records` lets it finish a bag if the orchestrator dies."""
         # The kernel ends it when its parent dies, also below `ros2 run`.
         guard = ["setpriv", "--pdeathsig", "INT" if records else "KILL", "--"]
         command = [*self._command(name, guard), *arguments]

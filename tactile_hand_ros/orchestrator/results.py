@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import datetime
 import json
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 from rich.table import Table
@@ -17,22 +17,15 @@ from tactile_hand_ros.orchestrator.run_directory import RunDirectory
 from tactile_hand_ros.orchestrator.session import Plan, RunOutcome
 from tactile_hand_ros.report import tables
 from tactile_hand_ros.report.page import write_report
-from tactile_hand_ros.run.metrics import (
-    DROPPED,
-    NOT_REACHED,
-    REACHED,
-    STEERED,
-    Metrics,
-    json_ready,
-)
+from tactile_hand_ros.run.metrics import DROPPED, NOT_REACHED, REACHED, STEERED, Metrics, json_ready
 from tactile_hand_ros.run.run import Run
 from tactile_hand_ros.scenario.scenario import UNLIMITED_SLIP
 
 EXIT_DROPPED = 3
 INCOMPLETE = "incomplete"
 _CTRL_C = 130  # exit code
+# Rows of the metrics table that are shown with their goals instead.
 _JUDGED = ("final position error", "final orientation error |r_d|", "longest slip", "goal")
-"""Rows of the metrics table that are shown with their goals instead."""
 
 
 @dataclass
@@ -51,7 +44,7 @@ def read_results(plan: Plan, directory: RunDirectory, outcome: RunOutcome) -> Ru
         return RunResults()
     try:
         run = Run(directory.path, namespace=plan.namespace, steered=plan.interactive)
-        recording = run.bag_metrics.to_dict()
+        recording = asdict(run.bag_metrics)
         results = RunResults(run, run.metrics, recording)
     except TactileHandError as error:
         return RunResults(problems=[str(error)])
@@ -76,38 +69,27 @@ def _is_lockstep(plan: Plan) -> bool:
 def real_time_counts(plan: Plan, outcome: RunOutcome) -> dict[str, float] | None:
     """Return how a run kept to real time, None in lockstep and for a run that did not start.
 
-    Returns:
-        The requested rate [Hz]; numbers of ticks: `due` by the wall clock, `late` (the command
-        came after the next tick was due, or never), `skipped` (due together with a later one),
-        `given_up` (the machine stalled, or a failed run never reached them); and `missed_fraction`,
-        from 0 to 1. The plant's last report may be slightly older than the end.
+    Of the ticks due by the wall clock: `late`, the command came after the next tick was due, or
+    never; `skipped`, due together with a later one, or while the machine stalled. The plant's last
+    report may be slightly older than the end.
     """
     if _is_lockstep(plan) or outcome.last_tick < 0:
         return None
-
-    def number(key: str) -> float:
-        return float(outcome.plant.get(key, "nan"))
-
-    rate, reached = plan.scenario.plant.rate, 1e-9 * outcome.last_tick
-    asked = reached if plan.interactive else plan.scenario.duration
-    given_up = (max(0.0, asked - max(reached, number("time_s"))) + number("lost_s")) * rate
-    late, skipped = number("late_commands"), number("missed_ticks")
-    due = number("time_s") * rate + given_up
-    missed = min(1.0, (late + skipped + given_up) / due) if due > 0.0 else float("nan")
-    counts = {"rate_hz": rate, "due": due, "late": late, "skipped": skipped}
-    return {**counts, "given_up": given_up, "missed_fraction": missed}
+    keys = ("time_s", "lost_s", "late_commands", "missed_ticks")
+    time, lost, late, missed = (float(outcome.plant.get(key, "nan")) for key in keys)
+    rate = plan.scenario.plant.rate
+    skipped, due = missed + lost * rate, (time + lost) * rate
+    fraction = min(1.0, (late + skipped) / due) if due > 0.0 else float("nan")
+    return {"rate_hz": rate, "late": late, "skipped": skipped, "missed_fraction": fraction}
 
 
 @dataclass(frozen=True)
 class RunVerdict:
-    """The verdict on a run.
+    """The verdict on a run, with the reasons for any outcome but success.
 
-    Attributes:
-        outcome: ``goal reached``, ``goal not reached``, ``object dropped``, ``incomplete`` (the
-            goal was reached, but data is missing), ``finished`` (a user ended it, or there is no
-            bag to judge it by), ``interrupted``, ``failed``.
-        reasons: Sentences that explain any outcome but success.
-        exit_code: Exit code of the orchestrator.
+    The outcome is ``goal reached``, ``goal not reached``, ``object dropped``, ``incomplete`` (the
+    goal was reached, but data is missing), ``finished`` (a user ended it, or there is no bag to
+    judge it by), ``interrupted`` or ``failed``.
     """
 
     outcome: str
@@ -169,7 +151,7 @@ def write_summary(
             "slip_distance_m": scenario.goal.slip_distance,
         },
         "metrics": {} if results.metrics is None else results.metrics.to_dict(),
-        "assumptions": [] if run is None else [line.to_dict() for line in run.assumptions],
+        "assumptions": [] if run is None else [asdict(line) for line in run.assumptions],
         "recording": results.recording,
         "real_time": real_time_counts(plan, outcome),
         "start_to_first_tick_s": outcome.first_tick,
@@ -212,7 +194,7 @@ def table(plan: Plan, outcome: RunOutcome, results: RunResults) -> Table:
 
 
 def report_line(run: Run) -> str:
-    """Write the report and return a line with its path or, so as not to fail the run, the error."""
+    """Write the report and return a line with its path or the error, which must not fail a run."""
     try:
         return f"report: {write_report(run)}"
     except Exception as error:

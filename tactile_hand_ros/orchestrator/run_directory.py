@@ -27,10 +27,7 @@ class RunDirectory:
     def create(cls, root: Path, name: str, now: datetime.datetime | None = None) -> RunDirectory:
         """Create a new directory below `root` and let ``<root>/latest`` point to it.
 
-        Its name contains the scenario's `name` and the time, by default the local time.
-
-        Raises:
-            ConfigurationError: If it cannot be created.
+        Its name contains the scenario's `name` and the local time.
         """
         tame = re.sub(r"[^\w.-]+", "_", name)
         stem = f"{now or datetime.datetime.now():%Y%m%d-%H%M%S}-{tame}"

@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 
 from rclpy.node import Node
 
+from tactile_hand_ros import names
 from tactile_hand_ros.command_line import Interrupted, Signals, os_sentence
 from tactile_hand_ros.config.model import Config
 from tactile_hand_ros.errors import TactileHandError
@@ -19,13 +20,10 @@ from tactile_hand_ros.names import (
     COMPOSED,
     CONTROLLER,
     OPTIMIZER,
-    ORCHESTRATOR,
     PLANT,
-    RECORD,
     RECORDER,
     REGULATOR,
     SENSOR,
-    USER_COMMANDS,
 )
 from tactile_hand_ros.nodes.recorder.config import RecorderConfig
 from tactile_hand_ros.orchestrator.monitor import Monitor, View, missing_endpoints
@@ -40,14 +38,14 @@ from tactile_hand_ros.scenario.scenario import NODES, Scenario
 START_ORDER = (RECORDER, PLANT, CONTROLLER, OPTIMIZER, REGULATOR, SENSOR)
 STOP_ORDER = ((PLANT, COMPOSED), (SENSOR, REGULATOR, OPTIMIZER, CONTROLLER), (RECORDER,))
 
-STALL = 15.0
-"""Time without an answered tick after which the run fails [s]."""
+STALL = 15.0  # s without an answered tick after which the run fails
 
 _LOOK = 0.02  # s between polls of the nodes' messages
 _FIRST_LOOK = 0.002  # s between polls before the first message
 _GRAPH_LOOK = 0.03  # s between polls of the graph
 _REST = 1.0  # s, longest wait for the answers to the last tick
 _LAST_HEARTBEATS = 0.3  # s, three heartbeats: the recorder requests lost messages
+_SHARED = ["/diagnostics", "/clock", "/rosout", "/tf", "/tf_static"]  # not in a namespace
 
 
 class StartupError(TactileHandError):
@@ -71,13 +69,7 @@ class StallCheck:
         self._since = 0.0
 
     def step(self, now: float, tick: int, mode: str) -> bool:
-        """Return whether no tick has been answered for `STALL`.
-
-        Args:
-            now: Time, s.
-            tick: The newest answered tick, ns; -1 before the first.
-            mode: What the plant does.
-        """
+        """Return whether no tick was answered for `STALL`, given the newest [ns]; `now` in s."""
         is_users = mode == "paused" or (self._is_endless and tick >= 0)
         if tick != self._last or is_users:
             self._last, self._since = tick, now
@@ -86,11 +78,7 @@ class StallCheck:
 
 @dataclass(frozen=True)
 class Plan:
-    """The plan of a run; see `RunOptions`.
-
-    Namespace ``/`` means none. The startup timeout is in s. The recorder ignores `priority`,
-    because it may be late.
-    """
+    """The plan of a run; see `RunOptions`. The recorder ignores `priority`: it may be late."""
 
     scenario: Scenario
     namespace: str = "/"
@@ -112,23 +100,14 @@ class Plan:
 
 @dataclass
 class RunOutcome:
-    """How a run ended, as far as the orchestrator observed it.
+    """How a run ended, as far as the orchestrator observed it."""
 
-    Attributes:
-        failure: Why it ended early, empty if it did not.
-        interrupted: Whether a signal ended it.
-        complaints: A sentence for each process that did not stop cleanly.
-        first_tick: Time from the start of the orchestrator to the first answered tick [s].
-        last_tick: Timestamp of the last answered tick [ns], -1 for none.
-        plant: The last diagnostics of the plant, by key.
-    """
-
-    failure: str = ""
-    interrupted: bool = False
-    complaints: list[str] = field(default_factory=list)
-    first_tick: float | None = None
-    last_tick: int = -1
-    plant: dict[str, str] = field(default_factory=dict)
+    failure: str = ""  # why it ended early
+    interrupted: bool = False  # whether a signal ended it
+    complaints: list[str] = field(default_factory=list)  # on processes that did not stop cleanly
+    first_tick: float | None = None  # s, from the orchestrator's start to the first answered tick
+    last_tick: int = -1  # ns, the last answered tick, -1 for none
+    plant: dict[str, str] = field(default_factory=dict)  # the plant's last diagnostics
 
     @property
     def is_complete(self) -> bool:
@@ -175,10 +154,9 @@ class Session:
         for name in dict.fromkeys(map(self.plan.process, configs)):
             self.signals.check()
             own = [node for node in configs if self.plan.process(node) == name]
-            words = []
+            words = [names.RECORD] if name == COMPOSED and RECORDER in own else []
             if self.plan.priority and name != RECORDER:
                 words += [PRIORITY, str(self.plan.priority)]
-            words += [RECORD] if name == COMPOSED and RECORDER in own else []
             words += common
             for node in own:
                 file = self.directory.write_parameters(node, configs[node])
@@ -188,16 +166,16 @@ class Session:
 
     def _configs(self, scenario_text: str) -> dict[str, Config]:
         """Return the parameters of the nodes in start order."""
-        scenario = self.plan.scenario
+        scenario, prefix = self.plan.scenario, self.plan.namespace.rstrip("/")
         endless = {"duration": 0.0} if self.plan.interactive else {}
         configs: dict[str, Config] = {node: scenario.node_config(node) for node in NODES}
         configs[PLANT] = scenario.plant.changed({"autostart": False, **endless})
         if self.plan.record:
             configs[RECORDER] = RecorderConfig(
                 output=str(self.directory.bag.resolve()),
-                topics=_recorded(self.plan.namespace),
+                topics=[f"{prefix}/.*", *(_SHARED if prefix else [])],
                 # User commands; the bag has accepted/... and rejected/... instead.
-                exclude=[f"{self.plan.namespace.rstrip('/')}/{topic}" for topic in USER_COMMANDS],
+                exclude=[f"{prefix}/{topic}" for topic in names.USER_COMMANDS],
                 scenario=scenario_text,
             )
         return {node: configs[node] for node in START_ORDER if node in configs}
@@ -216,14 +194,9 @@ class Session:
             self._come_to_rest(steering, monitor)
 
     def _await_graph(self, node: Node, monitor: Monitor, steering: Steering) -> None:
-        """Wait until all nodes exist and have matched each other.
-
-        Raises:
-            StartupError: With the missing endpoints and the last lines of the logs.
-            NodeDiedError: If a process ended.
-        """
+        """Wait until all nodes exist and have matched each other; else raise StartupError."""
         plan, own = self.plan, node.get_fully_qualified_name()
-        members = [*NODES, ORCHESTRATOR]
+        members = [*NODES, names.ORCHESTRATOR]
         if plan.record and not plan.composed:
             members.append(RECORDER)
         end = time.monotonic() + plan.startup_timeout
@@ -247,18 +220,11 @@ class Session:
             f"see {self.directory.path / 'logs'}"
         ]
         for name in dict.fromkeys(map(self.plan.process, missing)):
-            tail = self._processes.tail(name)
-            lines += [f"{name} | {line}" for line in tail] or [f"{name} has no output"]
+            lines += [f"{name} | {line}" for line in self._processes.tail(name)]
         return "\n".join(lines)
 
     def _watch(self, monitor: Monitor, view: View, steering: Steering) -> None:
-        """Follow the run to its last tick, and send the user forces that are due.
-
-        Raises:
-            Interrupted: After a signal.
-            NodeDiedError: If a process ended.
-            StallError: If ticks are no longer answered.
-        """
+        """Follow the run to its last tick, and send the user forces that are due."""
         outcome, end = self.outcome, self.plan.end
         due, stall = time.monotonic(), StallCheck(is_endless=end is None)
         while end is None or outcome.last_tick < end:
@@ -295,13 +261,6 @@ class Session:
         self._processes.check()
 
 
-def _recorded(namespace: str) -> list[str]:
-    """Return the patterns of the topics that belong to a run."""
-    if namespace == "/":
-        return [".*"]
-    return [f"{namespace}/.*", "/diagnostics", "/clock", "/rosout", "/tf", "/tf_static"]
-
-
 def _stall(monitor: Monitor) -> str:
     where = f"t = {1e-9 * monitor.tick:g} s" if monitor.tick >= 0 else "the start"
     faults = "; ".join(monitor.faults()) or "no node reports a fault"
@@ -311,7 +270,5 @@ def _stall(monitor: Monitor) -> str:
 def _process_age() -> float:
     """Return the age of this process [s], including the start of the interpreter."""
     with open("/proc/self/stat", encoding="ascii") as file:
-        fields = file.read().rpartition(")")[2].split()
-    with open("/proc/uptime", encoding="ascii") as file:
-        now = float(file.read().split()[0])
-    return now - int(fields[19]) / os.sysconf("SC_CLK_TCK")
+        start = int(file.read().rpartition(")")[2].split()[19]) / os.sysconf("SC_CLK_TCK")
+    return time.clock_gettime(time.CLOCK_BOOTTIME) - start

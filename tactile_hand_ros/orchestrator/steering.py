@@ -34,8 +34,7 @@ from tactile_hand_ros.rotations import (
 )
 
 if TYPE_CHECKING:
-    from tactile_hand_ros.scenario.scenario import Scenario, TargetConfig
-
+    from tactile_hand_ros.scenario.scenario import Scenario
 
 _SLICE = 0.02  # s
 _PATIENCE = 5.0  # s, longest wait for an answer to the orchestrator
@@ -85,10 +84,7 @@ class Steering:
         """Send the newest user grasp force that is due at a tick [ns], if there is one.
 
         Like all manual commands, forces carry no timestamp: when one takes effect depends on its
-        travel time and may vary between runs.
-
-        Raises:
-            SteeringError: If a subscriber does not acknowledge it.
+        travel time and may vary between runs. Raise SteeringError if it is not acknowledged.
         """
         due = [each for each in self._waiting if each.stamp <= stamp]
         self._waiting = self._waiting[len(due) :]
@@ -107,12 +103,10 @@ class Steering:
                 )
 
     def run(self, on: bool, timeout: float = _PATIENCE, check: bool = True) -> None:
-        """Let the plant run or pause; wait for its answer, at most `timeout` [s].
+        """Let the plant run or pause, and wait for its answer, at most `timeout` [s].
 
-        With `check`, the constructor's `check` may end the wait early.
-
-        Raises:
-            SteeringError: If the plant rejects the call or does not answer.
+        With `check`, the constructor's `check` may end the wait early. Raise SteeringError if the
+        plant rejects the call or does not answer.
         """
         future = self._client.call_async(SetBool.Request(data=on))
 
@@ -137,14 +131,6 @@ def _spin(executor: SingleThreadedExecutor, condition: Callable[[], bool], timeo
     return True
 
 
-def how_to_steer(namespace: str, targets: Sequence[TargetConfig]) -> str:
-    """Return the command that moves the hand from a second terminal, with a target as example."""
-    where = "" if namespace == "/" else f" --namespace {namespace}"
-    last = targets[-1].position if targets else None
-    position = " ".join(f"{x:g}" for x in last) if last else "X Y Z"
-    return f"tactile-hand move {position}{where}"
-
-
 class HandClient:
     """User commands to one hand; each returns when the hand has answered.
 
@@ -160,35 +146,33 @@ class HandClient:
     def move(
         self, position: Sequence[float], rotation: Sequence[float] | None
     ) -> tuple[float, Array]:
-        """Command a pose of the grasp.
+        """Command a pose of the grasp in the palm frame.
 
         Args:
-            position: p_d of the contact centroid, palm frame, shape (3,), m.
-            rotation: Orientation as a rotation vector in the palm frame, shape (3,), rad; None
-                keeps that of the grasp.
+            position: p_d of the contact centroid, shape (3,), m.
+            rotation: Rotation vector, shape (3,), rad; None keeps the grasp's orientation.
 
         Returns:
-            The simulated time from which the pose is the target [s], and its orientation as a
-            rotation vector in the palm frame, shape (3,), rad.
+            The simulated time from which the pose is the target [s], and its rotation vector.
 
         Raises:
             ConfigurationError: If a number is not finite.
             SteeringError: If there is no hand, or it rejects the pose.
         """
         _check_finite([*position, *(rotation or ())])
-        publisher = self._node.create_publisher(PoseStamped, names.DESIRED_POSE, qos.user_qos())
         quaternion = np.full(4, np.nan)
         if rotation is not None:
             quaternion = quaternion_from_rotation(rotation_from_vector(rotation))
         data = PoseCodec(nan_allowed=True).encode(np.array(position), quaternion, 0)
-        wanted = deserialize_message(data, PoseStamped).pose
+        wanted = deserialize_message(data, PoseStamped)
 
         def is_ours(message: PoseStamped) -> bool:
-            is_turned = rotation is None or message.pose.orientation == wanted.orientation
-            return bool(is_turned and message.pose.position == wanted.position)
+            asked, got = wanted.pose, message.pose
+            is_turned = rotation is None or got.orientation == asked.orientation
+            return bool(is_turned and got.position == asked.position)
 
         accepted = (PoseStamped, names.ACCEPTED_POSE, is_ours)
-        taken = self._send(publisher, data, names.CONTROLLER, names.DESIRED_POSE, accepted)
+        taken = self._send(wanted, names.CONTROLLER, names.DESIRED_POSE, accepted)
         q = taken.pose.orientation
         orientation = rotation_from_quaternion([q.x, q.y, q.z, q.w])
         return 1e-9 * stamp_to_ns(taken.header.stamp), vector_from_rotation(orientation)
@@ -196,32 +180,26 @@ class HandClient:
     def grasp_force(self, force: float) -> float:
         """Request a grasp force k_f [N]; return the simulated time at which it takes effect [s].
 
-        Raises:
-            ConfigurationError: If the force is not finite.
-            SteeringError: If there is no hand, or it rejects the force.
+        Raises the same errors as `move`.
         """
         _check_finite([force])
-        publisher = self._node.create_publisher(Float64, names.USER_GRASP_FORCE, qos.user_qos())
         accepted = (WrenchStamped, names.ACCEPTED_FORCE, lambda m: m.wrench.force.y == force)
         message = Float64(data=force)
-        taken = self._send(publisher, message, names.REGULATOR, names.USER_GRASP_FORCE, accepted)
+        taken = self._send(message, names.REGULATOR, names.USER_GRASP_FORCE, accepted)
         return 1e-9 * stamp_to_ns(taken.header.stamp)
 
     def grasp(self, close: bool) -> str:
         """Close the fingers until all touch, or open them; return the answer.
 
-        Raises:
-            SteeringError: If there is no hand, or it rejects the request.
+        Raise SteeringError if there is no hand, or it rejects the request.
         """
         return self._call(SetBool, f"{names.CONTROLLER}/grasp", SetBool.Request(data=close))
 
     def reset(self) -> str:
         """Restart: a simulation from its start, a real hand with its present grasp.
 
-        The publisher of joint_states determines which of the two it is.
-
-        Raises:
-            SteeringError: If there is no hand, or it rejects the request.
+        The publisher of joint_states decides which of the two it is. Raise SteeringError if there
+        is no hand, or it rejects the request.
         """
         last = f"{names.CONTROLLER}/reset"
         self._wait(self._node.create_client(Trigger, last).service_is_ready, self._absence())
@@ -242,24 +220,17 @@ class HandClient:
         return self._call(Trigger, last, Trigger.Request())
 
     def _send(
-        self,
-        publisher: Any,
-        message: Any,
-        node: str,
-        topic: str,
-        accepted: tuple[Any, str, Callable[[Any], bool]],
+        self, message: Any, node: str, topic: str, accepted: tuple[Any, str, Callable[[Any], bool]]
     ) -> Any:
         """Send a command to a node and return the message that accepts it."""
         taken: list[Any] = []
         refused: list[DiagnosticArray] = []
         kind, name, is_ours = accepted
+        publisher = self._node.create_publisher(type(message), topic, qos.user_qos())
+        hear = self._node.create_subscription
         answers = [
-            self._node.create_subscription(
-                kind, name, lambda m: taken.append(m) if is_ours(m) else None, qos.user_qos()
-            ),
-            self._node.create_subscription(
-                DiagnosticArray, names.rejected(node), refused.append, qos.user_qos()
-            ),
+            hear(kind, name, lambda m: taken.append(m) if is_ours(m) else None, qos.user_qos()),
+            hear(DiagnosticArray, names.rejected(node), refused.append, qos.user_qos()),
         ]
         self._wait(
             lambda: (

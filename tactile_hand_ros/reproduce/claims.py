@@ -3,10 +3,8 @@
 
 from __future__ import annotations
 
-import enum
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -21,7 +19,6 @@ from tactile_hand_ros.scenario.scenario import Scenario, load_scenario
 from tactile_hand_ros.simulation.plant import Plant
 
 LAYOUTS = ("three_faces", "pinch")
-
 
 EXPERIMENTS: Mapping[str, tuple[str, Mapping[str, Any]]] = {
     "optimal": ("paper", {}),
@@ -52,34 +49,15 @@ def run_experiment(key: str, layout: str, duration: float | None = None) -> Expe
 def scenario_of(key: str, layout: str, duration: float | None = None) -> Scenario:
     """Return the scenario of an experiment; ConfigurationError if layout or duration is invalid."""
     name, others = EXPERIMENTS[key]
-    changes = {"layout": layout, **others}
-    if duration is not None:
-        changes["duration"] = duration
-    options = {"layout": "--layout", "duration": "--duration"}
-    return load_scenario(name, changes, options)
+    changes = {"layout": layout, **others, **({} if duration is None else {"duration": duration})}
+    return load_scenario(name, changes, {"layout": "--layout", "duration": "--duration"})
 
 
 Outcomes = Mapping[str, ExperimentRun]
 """The experiments of one layout by key."""
 
 
-class ClaimVerdict(enum.Enum):
-    """The verdict on a claim."""
-
-    HOLDS = "holds"
-    PARTLY = "holds in part"
-    FAILS = "does not hold"
-
-
-@dataclass(frozen=True)
-class Claim:
-    """One claim of the paper: its source and statement, the measured result and the verdict."""
-
-    source: str
-    statement: str
-    measured: str
-    verdict: ClaimVerdict
-
+HOLDS, PARTLY, FAILS = "holds", "holds in part", "does not hold"
 
 Finding = tuple[str, bool, bool]
 """What was measured, and whether the claim holds, or holds in part."""
@@ -92,13 +70,16 @@ def _claim(source: str, statement: str) -> Callable[[Callable[[Outcomes], Findin
     return lambda measure: _claims.append((source, statement, measure))
 
 
-def judge(outcomes: Outcomes) -> list[Claim]:
-    """Judge all claims, including Theorem 1 with (9), by the experiments of one layout."""
+def judge(outcomes: Outcomes) -> list[list[str]]:
+    """Judge all claims, including Theorem 1 with (9), by the experiments of one layout.
+
+    Return rows of source, statement, measured result and verdict.
+    """
     found = []
     for source, statement, measure in _claims:
         measured, holds, partly = measure(outcomes)
-        worse = ClaimVerdict.PARTLY if partly else ClaimVerdict.FAILS
-        found.append(Claim(source, statement, measured, ClaimVerdict.HOLDS if holds else worse))
+        verdict = HOLDS if holds else PARTLY if partly else FAILS
+        found.append([source, statement, measured, verdict])
     return found
 
 
@@ -134,9 +115,8 @@ def _rates(outcomes: Outcomes) -> Finding:
 @_claim("Fig. 3d, (15)", "Every normal force converges to k_f f*_n.")
 def _normal_forces(outcomes: Outcomes) -> Finding:
     m = outcomes["optimal"].metrics
-    worst = m.worst_normal_force_relative_error
-    pairs = zip(m.final_normal_forces_N.values(), m.optimal_normal_forces_N.values(), strict=True)
-    listed = ", ".join(f"{f:.4f}/{e:.4f}" for f, e in pairs)
+    worst, wanted = m.worst_normal_force_relative_error, m.optimal_normal_forces_N
+    listed = ", ".join(f"{f:.4f}/{wanted[n]:.4f}" for n, f in m.final_normal_forces_N.items())
     measured = f"f_n / k_f f*_n: {listed} N; worst error {100 * worst:.4f} %"
     return measured, worst < 1e-3, worst < 5e-2
 
@@ -144,11 +124,9 @@ def _normal_forces(outcomes: Outcomes) -> Finding:
 @_claim("(13c), (15)", "The normal forces sum to k_f.")
 def _sum(outcomes: Outcomes) -> Finding:
     m = outcomes["optimal"].metrics
+    total, k_f = m.normal_force_sum_N, m.final_grasp_force_N
     error = m.normal_force_sum_relative_error
-    measured = (
-        f"{m.normal_force_sum_N:.5f} N for k_f = {m.final_grasp_force_N:g} N, "
-        f"{100 * error:.4f} % off"
-    )
+    measured = f"{total:.5f} N for k_f = {k_f:g} N, {100 * error:.4f} % off"
     return measured, error < 1e-4, error < 1e-2
 
 
@@ -275,9 +253,8 @@ def translational_stiffness(scenario: Scenario, at: str = "tips") -> Array:
 
 def _until_loss(run: ExperimentRun) -> Array:
     """Return how far contacts rolled over the object while all of them touched."""
-    lost = np.flatnonzero(derived.contact_lost(run.record))
-    end = int(lost[0]) if len(lost) else len(run.record)
-    return derived.rolling(run.record.part(slice(end)))
+    kept = run.record.times < np.nan_to_num(run.metrics.first_contact_loss_s, nan=np.inf)
+    return np.asarray(derived.rolling(run.record)[kept])
 
 
 def _apart(one: ExperimentRun, other: ExperimentRun) -> float:

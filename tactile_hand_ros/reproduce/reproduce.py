@@ -14,8 +14,9 @@ from tactile_hand_ros.report.style import pretty, save
 from tactile_hand_ros.report.tables import markdown, plain, rich_table
 from tactile_hand_ros.reproduce.claims import (
     EXPERIMENTS,
-    Claim,
-    ClaimVerdict,
+    FAILS,
+    HOLDS,
+    PARTLY,
     ExperimentRun,
     Outcomes,
     judge,
@@ -37,7 +38,7 @@ class Reproduction:
 
     layout: str
     outcomes: Outcomes
-    claims: list[Claim]
+    claims: list[list[str]]
 
 
 def reproduce(
@@ -48,9 +49,7 @@ def reproduce(
     """Run all experiments on `workers`, and judge the paper's claims.
 
     `duration` [s] replaces the scenarios'; `progress` is called with a sentence per experiment.
-
-    Raises:
-        ConfigurationError: If a layout or duration is invalid.
+    Raise ConfigurationError if a layout or duration is invalid.
     """
     for layout in layouts:  # check before any process starts
         check_scenario(scenario_of("optimal", layout, duration))
@@ -83,12 +82,11 @@ def draw(result: Reproduction, folder: Path) -> list[Path]:
     ]
 
 
-def write(results: Sequence[Reproduction], folder: Path) -> list[Path]:
-    """Write the report as Markdown next to the figures; return the files."""
-    folder.mkdir(parents=True, exist_ok=True)
+def write(results: Sequence[Reproduction], folder: Path) -> Path:
+    """Write the report as Markdown next to the figures; return the file."""
     report = folder / REPORT
     report.write_text("\n".join([_HEAD, *map(_section, results)]), encoding="utf-8")
-    return [report]
+    return report
 
 
 _HEAD = """# The paper's results, reproduced
@@ -107,23 +105,18 @@ _FIGURES = {
 
 def _section(result: Reproduction) -> str:
     pictures = [f"![{text}]({name}_{result.layout}.png)\n" for name, text in _FIGURES.items()]
-    claims = markdown(CLAIM_COLUMNS, claim_rows(result.claims))
+    claims = markdown(CLAIM_COLUMNS, result.claims)
     return "\n".join([f"## Layout {result.layout}\n", claims, *pictures])
 
 
 CLAIM_COLUMNS = ("source", "the paper", "measured", "verdict")
-_COLORS = {ClaimVerdict.HOLDS: "green", ClaimVerdict.PARTLY: "yellow", ClaimVerdict.FAILS: "red"}
-
-
-def claim_rows(claims: Sequence[Claim]) -> list[list[str]]:
-    """Return claims as text, columns as in `CLAIM_COLUMNS`."""
-    return [[c.source, c.statement, c.measured, c.verdict.value] for c in claims]
+_COLORS = {HOLDS: "green", PARTLY: "yellow", FAILS: "red"}
 
 
 def claim_table(result: Reproduction) -> Table:
     """Return the claims of a layout as a table for the terminal."""
     table = rich_table(f"layout {result.layout}", CLAIM_COLUMNS)
-    for claim, row in zip(result.claims, claim_rows(result.claims), strict=True):
-        color = _COLORS[claim.verdict]
-        table.add_row(*map(plain, row[:-1]), f"[{color}]{row[-1]}[/{color}]", end_section=True)
+    for *texts, verdict in result.claims:
+        color = _COLORS[verdict]
+        table.add_row(*map(plain, texts), f"[{color}]{verdict}[/{color}]", end_section=True)
     return table

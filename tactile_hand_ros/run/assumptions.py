@@ -19,7 +19,6 @@ from tactile_hand_ros.control.margins import REACTION, GraspMonitor, cone_distan
 from tactile_hand_ros.control.slip.detector import ContactState
 from tactile_hand_ros.hand.hand import Hand
 from tactile_hand_ros.run.derived import spans
-from tactile_hand_ros.run.metrics import Plain
 
 _ROWS = 1000  # approximate number of ticks for which kinematics is computed
 _SETTLING = 0.05  # s, while contacts are still closing
@@ -29,43 +28,29 @@ _BALANCE = 1e-6
 
 
 @dataclass(frozen=True)
-class Assumption(Plain):
-    """One assumption and how it held.
-
-    Attributes:
-        name: A1 to A7, or the solver.
-        meaning: The assumption in words.
-        margin: The quantity that is checked, with its unit.
-        worst: Its worst value; NaN if unknown.
-        limit: Value it must stay above, or below if `below`; NaN if touch gives no limit.
-        below: Whether smaller is better.
-        held_fraction: Fraction of the checked time during which it held; NaN if unknown.
-        broken: Intervals during which it did not hold, start and end in s.
-    """
+class Assumption:
+    """One assumption and how it held."""
 
     name: str
     meaning: str
-    margin: str
-    worst: float
-    limit: float
-    below: bool
-    held_fraction: float
-    broken: list[tuple[float, float]]
+    margin: str  # the quantity that is checked, with its unit
+    worst: float  # NaN if unknown
+    limit: float  # what the margin must stay above, or below; NaN if touch gives no limit
+    below: bool  # whether smaller is better
+    held_fraction: float  # of the checked time; NaN if unknown
+    broken: list[tuple[float, float]]  # start and end, s
 
 
 def assumptions(record: Record, hand: Hand) -> list[Assumption]:
     """Return the assumptions of a run and how each held; `hand` has the layout of the run."""
     sparse = record.part(slice(None, None, max(1, len(record) // _ROWS)))
-    found = _of_grasp(sparse, hand), _of_slip(record)
-    times = sparse.times, record.times
-    return [
-        _judged(line, times[line[0] in found[1]], {**found[0], **found[1]}[line[0]])
-        for line in _LINES
-    ]
+    found = {name: (sparse.times, values) for name, values in _of_grasp(sparse, hand).items()}
+    found |= {name: (record.times, values) for name, values in _of_slip(record).items()}
+    return [_judged(line, *found[line[0]]) for line in _LINES]
 
 
 def _judged(line: _Line, times: Array, values: Array) -> Assumption:
-    *_, limit, below = line
+    name, meaning, margin, limit, below = line
     looked = (times >= _SETTLING) & ~np.isnan(values)
     known, times = values[looked], times[looked]
     held, worst, broken = math.nan, math.nan, []
@@ -75,7 +60,6 @@ def _judged(line: _Line, times: Array, values: Array) -> Assumption:
         good = known < limit if below else known > limit
         held = float(good.mean())
         broken = [(float(times[first]), float(times[after - 1])) for first, after in spans(~good)]
-    name, meaning, margin, limit, below = line
     return Assumption(name, meaning, margin, worst, limit, below, held, broken)
 
 

@@ -16,8 +16,8 @@ from tactile_hand_ros.rotations import rotation_from_quaternion
 from tactile_hand_ros.scenario.link_collisions import LinkCollisions
 
 _LOOK = 0.05  # s between two looks at links in the object
-_LONG = 5
-"""Consecutive missing ticks that count as a gap; in real time, a late plant skips a few."""
+_LONG = 5  # missing ticks that count as a gap; in real time, a late plant skips a few
+_HOLDING = 2  # minimum number of fingers that can hold an object
 
 
 def silent(record: Record) -> NDArray[np.bool_]:
@@ -50,10 +50,6 @@ def gaps(record: Record) -> list[tuple[int, int]]:
         if end - start >= _LONG:
             found.append((max(0, start - 1), min(end, len(record) - 1)))
     return sorted(found)
-
-
-_HOLDING = 2
-"""Minimum number of fingers that can hold an object."""
 
 
 def dropped_at(record: Record, releases: Sequence[float] = ()) -> float:

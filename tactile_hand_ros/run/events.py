@@ -6,7 +6,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,22 +20,13 @@ from tactile_hand_ros.errors import BagError, MessageError
 from tactile_hand_ros.run.derived import gaps, silent, spans
 from tactile_hand_ros.scenario.scenario import Scenario
 
-OPENING = ("grasp", "false")
-"""Service and value of the call that opens the hand."""
-
 
 class Asked(NamedTuple):
-    """A request or command that a node accepted or rejected.
+    """A request or command that a node accepted or rejected."""
 
-    Attributes:
-        stamp: The first tick that it could affect, or the last one before its rejection, ns.
-        key: The service, or the topic of the rejected command.
-        value: The value of the request as text, or the reason for the rejection.
-    """
-
-    stamp: int
-    key: str
-    value: str
+    stamp: int  # ns, the first tick that it could affect, or the last one before its rejection
+    key: str  # the service, or the topic of the rejected command
+    value: str  # of the request as text, or the reason for the rejection
 
 
 def read_asked(messages: TopicMessages) -> list[Asked]:
@@ -49,8 +40,8 @@ def releases(requests: Sequence[Asked]) -> list[float]:
     """Return when the hand was asked to open, s, except where a later grasp closed it again."""
     found: list[float] = []
     for each in requests:
-        if each.key == OPENING[0]:
-            found = [1e-9 * each.stamp] if each.value == OPENING[1] else []
+        if each.key == "grasp":
+            found = [1e-9 * each.stamp] if each.value == "false" else []
     return found
 
 
@@ -60,47 +51,26 @@ def nanoseconds(stamp: Any) -> int:
 
 
 Flags = NDArray[np.bool_]
-Kind = Literal[
-    "command",
-    "request",
-    "refusal",
-    "disturbance",
-    "slip",
-    "detection",
-    "reaction",
-    "contact_lost",
-    "contact_made",
-    "dropped",
-    "gap",
-]
 
-SLIDING = 1e-3
-"""Minimum speed that counts as slip; slower sliding is the creep of holding contacts, m/s."""
-
-PAUSE = 0.02
-"""Longest pause that does not split an event, s."""
-RISE = 0.02
-"""Relative rise of the grasp force that counts as a reaction."""
-REACTION = 0.25
-"""Longest time after a slip or an alarm in which a rise belongs to it, s."""
+SLIDING = 1e-3  # m/s, minimum speed that counts as slip; slower is the creep of holding contacts
+PAUSE = 0.02  # s, longest pause that does not split an event
+RISE = 0.02  # relative rise of the grasp force that counts as a reaction
+REACTION = 0.25  # s, longest time after a slip or an alarm in which a rise belongs to it
 
 
 @dataclass(frozen=True)
 class Event:
-    """Something that happened at one instant.
+    """Something that happened at one simulated `time` [s], with a `text` for users.
 
-    Attributes:
-        time: Simulated time, s.
-        kind: ``slip`` is the true start of sliding, ``detection`` the alarm of the hand,
-            ``reaction`` the rise of the grasp force after it, ``request`` a service call by a user,
-            ``refusal`` a rejected command, ``gap`` a stretch of ticks missing from the recording.
-        finger: Name of the finger or link, empty if it concerns the whole hand.
-        text: The event in words.
+    Kinds: ``slip`` is the true start of sliding, ``detection`` the alarm of the hand, ``reaction``
+    the rise of the grasp force after it, ``request`` a service call by a user, ``refusal`` a
+    rejected command, ``gap`` a stretch of ticks missing from the recording; also ``command``,
+    ``disturbance``, ``contact_lost``, ``contact_made`` and ``dropped``.
     """
 
     time: float
-    kind: Kind
-    finger: str
+    kind: str
+    finger: str  # or link; empty if it concerns the whole hand
     text: str
 
 
@@ -111,7 +81,10 @@ def events(
 
     `dropped` is the time of the drop, s; NaN if there was none.
     """
-    found = [*_commands(record), *_of_fingers(record), *_reactions(record), *_gaps(record)]
+    found = [*_commands(record), *_of_fingers(record), *_reactions(record)]
+    for first, last in gaps(record):
+        lasted = record.times[last] - record.times[first]
+        found += _at(record, [first], "gap", "", f"no data was recorded for {lasted:.3g} s")
     if not math.isnan(dropped):
         found.append(Event(dropped, "dropped", "", "the object is dropped"))
     if scenario is not None:
@@ -164,7 +137,7 @@ def _commands(record: Record) -> list[Event]:
     return _at(record, new, "command", "", "a new pose is commanded")
 
 
-def _at(record: Record, rows: Iterable[int], kind: Kind, finger: str, text: str) -> list[Event]:
+def _at(record: Record, rows: Iterable[int], kind: str, finger: str, text: str) -> list[Event]:
     return [Event(float(record.times[row]), kind, finger, text) for row in rows]
 
 
@@ -211,14 +184,6 @@ def _held_through(flags: Flags, unknown: Flags) -> Flags:
     return np.asarray(flags[rows] & ~(unknown & (rows == 0)))
 
 
-def _gaps(record: Record) -> list[Event]:
-    found: list[Event] = []
-    for first, last in gaps(record):
-        lasted = record.times[last] - record.times[first]
-        found += _at(record, [first], "gap", "", f"no data was recorded for {lasted:.3g} s")
-    return found
-
-
 def _starts(record: Record, flags: Flags) -> list[int]:
     """Return the rows at which flags become set after a pause; the first row does not count."""
     found, ended = [], -math.inf
@@ -233,7 +198,7 @@ def _reactions(record: Record) -> list[Event]:
     """Return when the grasp force rose after each alarm that follows an alarm-free state."""
     found: list[Event] = []
     for row in _starts(record, (record.grip == ContactState.SLIP).any(axis=1)):
-        start = record.grasp_force[max(0, row - 1)]
+        start = record.grasp_force[row - 1]
         soon = record.times[row:] <= record.times[row] + REACTION
         risen = np.flatnonzero(record.grasp_force[row:][soon] > (1.0 + RISE) * start)
         text = f"the grasp force rises above {start:.3g} N"

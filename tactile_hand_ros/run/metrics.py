@@ -20,8 +20,8 @@ from tactile_hand_ros.scenario.scenario import GoalConfig, Scenario
 DROPPED = "object dropped"
 REACHED = "goal reached"
 NOT_REACHED = "goal not reached"
-STEERED = "finished"
-"""Outcome of a run that a user steered and ended: no goal applies."""
+STEERED = "finished"  # by the user who steered the run: no goal applies
+START_S = 0.02  # initial time that friction peaks leave out, s: at tick 0 no force acts yet
 
 
 def json_ready(value: Any) -> Any:
@@ -31,19 +31,6 @@ def json_ready(value: Any) -> Any:
     if isinstance(value, list | tuple):
         return [json_ready(item) for item in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value
-
-
-class Plain:
-    """A dataclass of numbers and strings."""
-
-    def to_dict(self: Any) -> dict[str, Any]:
-        """Return plain data for JSON, in which NaN and infinity become None."""
-        plain: dict[str, Any] = json_ready(asdict(self))
-        return plain
-
-
-START_S = 0.02
-"""Initial time that friction peaks leave out, s: at tick 0 no force acts yet."""
 
 
 @dataclass(frozen=True)
@@ -62,41 +49,31 @@ class Judged:
 
 
 @dataclass(frozen=True)
-class Metrics(Plain):
+class Metrics:
     """Results of a run; NaN if the record does not contain them. Mappings are keyed by finger.
 
     Final values are those of the last tick; they are NaN if the grasp was lost by then.
 
     Attributes:
-        ticks: Number of ticks.
-        simulated_time_s: From the first tick to the last.
         final_position_error_m: |p_d - p|, p as the hand estimates it.
         final_rotation_error_rad: |r_d|, 2 sin of the angle.
         settling_time_s: From the last change of the desired pose until both errors stay inside the
             goal (1 mm and 0.01 rad without a scenario).
-        peak_joint_rate_rad_per_s: Largest |rate| of any joint.
-        final_grasp_force_N: k_f.
         final_normal_forces_N: f_n.
         optimal_normal_forces_N: k_f f*_n, where (15) puts f_n.
         worst_normal_force_relative_error: Largest |f_n / (k_f f*_n) - 1|.
-        normal_force_sum_N: Sum of f_n.
         normal_force_sum_relative_error: |sum / k_f - 1|.
-        peak_normal_force_N: Largest f_n of any finger.
         final_required_friction: beta.
         max_required_friction: Largest beta after the first 0.02 s.
         contacts_lost_ticks: Ticks at which a finger did not touch.
-        first_contact_loss_s: Simulated time of the first such tick.
         max_object_displacement_in_grasp_m: True object against the virtual frame of the contacts.
-        max_object_rotation_in_grasp_rad: The same, its rotation.
         max_slip_distance_m: Largest total slip distance of a contact; NaN without ground truth.
         slip_count: How often a contact started to slide; None without ground truth.
-        slip_alarm_count: How often the hand detected a slip.
         dropped_at_s: When the object was dropped; NaN if it was held or released.
         goal_reached: Whether the object is held, the final errors are within the goal, and no
             contact is known to have slid too far; None without a scenario.
         link_inside: Name of the first link but for tips that came inside the object, empty if
             none did. The simulation lets them pass.
-        link_inside_s: When it did; NaN if none did.
 
     Example:
         >>> from tactile_hand_ros import simulate
@@ -131,6 +108,11 @@ class Metrics(Plain):
     goal_reached: bool | None
     link_inside: str = ""
     link_inside_s: float = math.nan
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain data for JSON, in which NaN and infinity become None."""
+        plain: dict[str, Any] = json_ready(asdict(self))
+        return plain
 
     @property
     def link_note(self) -> str:
@@ -168,16 +150,14 @@ def metrics(
 ) -> Metrics:
     """Measure a run: how close it comes to (7), and in its normal forces to (15).
 
-    Args:
-        record: The run, at least one tick; ground truth and single topics may be missing.
-        scenario: Its scenario, for the goal.
-        releases: When a user opened the hand, s.
+    The record has at least one tick; ground truth and single topics may be missing. The scenario
+    gives the goal, and `releases` when a user opened the hand, s.
     """
     goal = GoalConfig() if scenario is None else scenario.goal
     dropped = derived.dropped_at(record, releases)
     position, rotation = derived.pose_errors(record, dropped)
     inside = (position <= goal.position_error) & (rotation <= goal.rotation_error)
-    lost = np.flatnonzero(derived.contact_lost(record))
+    lost = record.times[derived.contact_lost(record)]
     moved, turned = derived.motion_in_grasp(record)
     slid = _peak(record.true_slid)
     found = Metrics(
@@ -188,9 +168,8 @@ def metrics(
         settling_time_s=_settling(record, inside),
         peak_joint_rate_rad_per_s=_peak(np.abs(record.rates)),
         **_force_metrics(record),
-        **_friction_metrics(record),
         contacts_lost_ticks=len(lost),
-        first_contact_loss_s=float(record.times[lost[0]]) if len(lost) else math.nan,
+        first_contact_loss_s=float(lost[0]) if len(lost) else math.nan,
         max_object_displacement_in_grasp_m=_peak(moved),
         max_object_rotation_in_grasp_rad=_peak(turned),
         max_slip_distance_m=slid,
@@ -206,12 +185,15 @@ def metrics(
 
 
 def _force_metrics(record: Record) -> dict[str, Any]:
-    """Compare the final normal forces with k_f f*_n, and their sum with k_f."""
+    """Return the metrics of normal forces, against k_f f*_n and k_f, and of friction."""
     every = derived.contact_forces(record)[:, :, 1]
     normal, optimal = every[-1], derived.expected_normal_forces(record)[-1]
     grasp_force = float(record.grasp_force[-1])
     total = float(normal.sum()) if len(normal) else math.nan
     off = _relative(normal, optimal)
+    beta = derived.required_friction(record)
+    later = record.times >= record.times[0] + START_S
+    peaks = np.array([_peak(column) for column in beta[later].T])
     return {
         "final_grasp_force_N": grasp_force,
         "final_normal_forces_N": _by_finger(record, normal),
@@ -220,14 +202,6 @@ def _force_metrics(record: Record) -> dict[str, Any]:
         "normal_force_sum_N": total,
         "normal_force_sum_relative_error": float(_relative(np.array(total), np.array(grasp_force))),
         "peak_normal_force_N": _peak(every),
-    }
-
-
-def _friction_metrics(record: Record) -> dict[str, Any]:
-    beta = derived.required_friction(record)
-    later = record.times >= record.times[0] + START_S
-    peaks = np.array([_peak(column) for column in beta[later].T])
-    return {
         "final_required_friction": _by_finger(record, beta[-1]),
         "max_required_friction": _by_finger(record, peaks),
     }

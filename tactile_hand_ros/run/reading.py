@@ -59,19 +59,6 @@ class HandTopics:
                 found[self.full(pattern(finger))] = "geometry_msgs/msg/WrenchStamped"
         return found
 
-    def check(self, types: Mapping[str, str]) -> None:
-        """Check that the topics have the types of the contract; `types` is keyed by full name.
-
-        Raises:
-            BagError: If one has another type.
-        """
-        for topic, expected in self.types.items():
-            if types.get(topic, expected) != expected:
-                raise BagError(
-                    f"The topic {topic} has the type {types[topic]}, expected {expected}; remap it "
-                    "or record the right one."
-                )
-
 
 def find_prefix(topics: Iterable[str], namespace: str | None, bag: object) -> str:
     """Return the prefix of a hand's topics; `namespace` is None if there is only one hand.
@@ -81,36 +68,24 @@ def find_prefix(topics: Iterable[str], namespace: str | None, bag: object) -> st
     """
     prefixes = [t.removesuffix(names.JOINT_STATES) for t in topics]
     hands = {prefix.strip("/"): prefix for prefix in prefixes if prefix.endswith("/")}
-    wanted = next(iter(hands)) if namespace is None and len(hands) == 1 else namespace
-    if wanted is not None and (name := wanted.strip("/")) in hands:
-        return hands[name]
-    if not hands:
-        problem = f"has no topic {names.JOINT_STATES}, which defines the ticks"
-    elif namespace is None:
-        problem = "holds several hands; choose a namespace"
-    else:
-        problem = f"has no hand in the namespace '{namespace}', only"
+    wanted = next(iter(hands), "") if namespace is None and len(hands) < 2 else namespace
+    if wanted is not None and wanted.strip("/") in hands:
+        return hands[wanted.strip("/")]
     listed = ", ".join(sorted(hand or "/" for hand in hands))
-    raise BagError(f"The bag {bag} {problem}{': ' if hands else ''}{listed}.")
+    where = f"the namespaces: {listed}; choose one of them" if hands else "no namespace"
+    raise BagError(f"The bag {bag} has the topic {names.JOINT_STATES} of a hand in {where}.")
 
 
 def find_fingers(topics: Iterable[str], prefix: str) -> list[str]:
     """Return the fingers named in topics, shorter names first (finger_2 before finger_10)."""
     patterns = [re.escape(prefix) + p("([^/]+)") for p in _FORCES.values()]
-    found = {
-        match.group(1)
-        for topic in topics
-        for pattern in patterns
-        if (match := re.fullmatch(pattern, topic))
-    }
-    return sorted(found, key=lambda name: (len(name), name))
+    matches = (re.fullmatch(pattern, topic) for topic in topics for pattern in patterns)
+    return sorted({m.group(1) for m in matches if m}, key=lambda name: (len(name), name))
 
 
 Times = NDArray[np.int64]
 
-
-EARLY = 100_000_000
-"""How long before the first tick of its run a message may have been logged [ns]."""
+EARLY = 100_000_000  # ns before the first tick of its run in which a message may be logged
 
 
 def sections(messages: Mapping[str, TopicMessages], states: str) -> list[dict[str, TopicMessages]]:
@@ -137,8 +112,8 @@ def sections(messages: Mapping[str, TopicMessages], states: str) -> list[dict[st
 def _first_of_section(messages: TopicMessages, start: int) -> int:
     """Return the index of the first message of the section whose first tick was logged at `start`.
 
-    Topics may overtake each other, so it may have been logged a little earlier. It is the message
-    that steps back in time or, without one, the first within `EARLY`.
+    Topics may overtake each other. It is the message that steps back in time or, without one, the
+    first within `EARLY`.
     """
     early = bisect_left(messages.log_times, start - EARLY)
     late = min(bisect_right(messages.log_times, start), len(messages.data) - 1)
@@ -150,13 +125,7 @@ def _first_of_section(messages: TopicMessages, start: int) -> int:
 
 @dataclass(frozen=True)
 class Series:
-    """The messages of one topic.
-
-    Attributes:
-        log_times: When each was recorded, shape (n,), ns since the epoch.
-        stamps: Its header stamp, the tick, shape (n,), ns.
-        tables: The messages grouped by layout.
-    """
+    """The messages of one topic: log times and stamps, shape (n,), ns; grouped by layout."""
 
     log_times: Times
     stamps: Times
@@ -193,11 +162,7 @@ class Series:
 def read_series(
     messages: Mapping[str, TopicMessages], types: Mapping[str, str]
 ) -> dict[str, Series]:
-    """Turn messages into arrays; messages and types are keyed by the full name of the topic.
-
-    Raises:
-        BagError: If a message is broken.
-    """
+    """Turn messages into arrays, by full name of the topic; raise BagError if one is broken."""
     return {topic: _series(type_name, messages[topic]) for topic, type_name in types.items()}
 
 

@@ -7,13 +7,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tactile_hand_ros import names
-from tactile_hand_ros.run.metrics import Plain
+from tactile_hand_ros.compiled import Array
 from tactile_hand_ros.run.reading import HandTopics, Series, first_ticks
-
-Times = NDArray[np.int64]
 
 # Users may send commands at any time; a holding hand does not publish its auxiliary pose.
 _NOT_EVERY_TICK = (names.ACCEPTED_POSE, names.ACCEPTED_FORCE, names.AUXILIARY_POSE, names.IMU)
@@ -29,30 +26,16 @@ class TopicCount:
 
 
 @dataclass(frozen=True)
-class BagMetrics(Plain):
-    """Completeness and timing of a bag, by its log times.
+class BagMetrics:
+    """Completeness and timing of a bag, by its log times."""
 
-    Attributes:
-        messages: Number of messages on all topics of the bag.
-        topics: The hand's topics by full name.
-        absent: Missing topics of the hand; ground truth may be absent.
-        complete: Whether every tick has a message on each required topic.
-        repeated_ticks: How often a tick was resent because a reply was late.
-        wall_time_s: From the first tick to the last, by the wall clock.
-        ticks_per_second: Ticks per second of wall time.
-        command_latency_median_s: From a tick to the command that answers it.
-        command_latency_p99_s: The same, 99th percentile.
-        command_latency_max_s: The same, maximum.
-    """
-
-    messages: int
-    topics: Mapping[str, TopicCount]
-    absent: list[str]
-    complete: bool
-    repeated_ticks: int
-    wall_time_s: float
-    ticks_per_second: float
-    command_latency_median_s: float
+    messages: int  # on all topics of the bag
+    topics: Mapping[str, TopicCount]  # those of the hand by full name
+    absent: list[str]  # missing topics of the hand; ground truth may be absent
+    complete: bool  # whether every tick has a message on each required topic
+    repeated_ticks: int  # how often a tick was resent because a reply was late
+    ticks_per_second: float  # of wall time
+    command_latency_median_s: float  # from a tick to the command that answers it
     command_latency_p99_s: float
     command_latency_max_s: float
 
@@ -61,9 +44,14 @@ def bag_metrics(series: Mapping[str, Series], topics: HandTopics, messages: int)
     """Measure a bag that holds `messages` messages on all topics."""
     states = series[topics.full(names.JOINT_STATES)]
     ticks, logged = first_ticks(states)
-    counts = {topic: _count(topic, one, ticks, topics) for topic, one in series.items() if len(one)}
-    truth = topics.full("ground_truth/")
     free = {topics.full(name) for name in _NOT_EVERY_TICK}
+    counts = {}
+    for topic, one in series.items():
+        if len(one):
+            covered = int(np.isin(ticks, one.stamps).sum())
+            complete = None if topic in free else covered == len(ticks)
+            counts[topic] = TopicCount(len(one), covered, complete)
+    truth = topics.full("ground_truth/")
     absent = [t for t in series if t not in counts and t not in free and not t.startswith(truth)]
     wall = 1e-9 * float(logged[-1] - logged[0])
     latency = latencies(series, topics)
@@ -75,21 +63,14 @@ def bag_metrics(series: Mapping[str, Series], topics: HandTopics, messages: int)
         absent=absent,
         complete=not absent and all(c.complete is not False for c in counts.values()),
         repeated_ticks=int((np.diff(states.stamps) == 0).sum()),
-        wall_time_s=wall,
-        ticks_per_second=(len(ticks) - 1) / wall if wall > 0.0 else float("nan"),
+        ticks_per_second=(len(ticks) - 1) / wall if wall > 0.0 else np.nan,
         command_latency_median_s=float(median),
         command_latency_p99_s=float(p99),
         command_latency_max_s=float(longest),
     )
 
 
-def _count(topic: str, series: Series, ticks: Times, topics: HandTopics) -> TopicCount:
-    covered = int(np.isin(ticks, series.stamps).sum())
-    required = topic not in {topics.full(name) for name in _NOT_EVERY_TICK}
-    return TopicCount(len(series), covered, covered == len(ticks) if required else None)
-
-
-def latencies(series: Mapping[str, Series], topics: HandTopics) -> NDArray[np.float64]:
+def latencies(series: Mapping[str, Series], topics: HandTopics) -> Array:
     """Return the wall time [s] from each tick to its first command, shape (n,); NaN without one."""
     ticks, logged = first_ticks(series[topics.full(names.JOINT_STATES)])
     command = series[topics.full(names.JOINT_COMMAND)]

@@ -34,20 +34,18 @@ class RunData:
         record: The run tick by tick; NaN without a message.
         scenario: The scenario; None if unknown or unusable.
         scenario_problem: Why the recorded scenario is unusable, empty otherwise.
-        scenario_text: The scenario as YAML, even if unusable; empty without one.
-        name: Name of the run.
-        path: The opened path; the current folder without a bag.
+        scenario_text: The scenario as YAML, even if unusable.
         folder: Folder for results.
         earlier: The runs before each reset, oldest first.
         steered: Whether a user steered the run, so that no goal applies.
         requests: The service calls that changed the controller.
         refusals: The user commands that were rejected.
         pushes: When users pushed at the object.
-        bag_metrics: Completeness and timing of the bag, None without one.
+        bag_metrics: Completeness and timing of the bag.
         latencies: Wall time from each tick to its command, shape (n,), s; NaN without a bag.
         custom_data: Notes of the recorder: versions, lost messages.
-        start_time: When the recording started, ns since the epoch; None without a bag.
-        description: The recorded URDF of the hand, empty if none was recorded.
+        start_time: When the recording started, ns since the epoch.
+        description: The recorded URDF of the hand.
     """
 
     path = folder = Path()
@@ -105,10 +103,7 @@ class RunData:
 
     @property
     def assumptions_problem(self) -> str:
-        """Why a run with a scenario has no assumptions, empty otherwise.
-
-        On another machine, the hand file may be missing or different.
-        """
+        """Why a run with a scenario has no assumptions, empty otherwise."""
         return self._hand[1]
 
     @cached_property
@@ -120,13 +115,11 @@ class RunData:
             hand = Hand.load(self.scenario.hand, self.scenario.layout)
         except TactileHandError as error:
             return None, f"The assumptions are omitted because the hand cannot be loaded: {error}."
-        here = hand.fingers, hand.joints
         recorded = len(self.record.finger_names), len(self.record.joint_names)
-        if here != recorded:
+        if (hand.fingers, hand.joints) != recorded:
             return None, (
-                f"The assumptions are omitted because the hand '{self.scenario.hand}' has "
-                f"{here[0]} fingers and {here[1]} joints here, "
-                f"{recorded[0]} and {recorded[1]} in the bag."
+                f"The assumptions are omitted because the hand '{self.scenario.hand}' has other "
+                "numbers of fingers and joints here than in the bag."
             )
         return hand, ""
 
@@ -144,10 +137,7 @@ class RunData:
         """Return a pandas.DataFrame with one row per tick, indexed by time in s.
 
         Columns have names such as ``theta.<joint>`` and ``forces.<finger>.y``. ``attrs["meaning"]``
-        gives the meaning and unit of each array.
-
-        Raises:
-            MissingLibraryError: If pandas is not installed.
+        gives the meaning and unit of each array. Raise MissingLibraryError without pandas.
         """
         pandas = optional("pandas", "The export to pandas")
         table = pandas.DataFrame(columns(self.record), index=self.record.times)

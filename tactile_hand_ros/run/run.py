@@ -6,6 +6,7 @@ from __future__ import annotations
 import copy
 import json
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 
 from tactile_hand_ros import names
@@ -49,7 +50,7 @@ class Run(Result):
         summary: Topics, message counts and times of the bag.
         topics: Names of the hand's topics and fingers.
         messages: The messages of the hand's topics by full name.
-        series: The same as arrays with log times, by full name.
+        series: The same as arrays with log times.
 
     Example:
         >>> run = Run("runs/latest")
@@ -96,7 +97,8 @@ class Run(Result):
         wanted = {*self.topics.types, *map(self.topics.full, [*asked, names.PUSH])}
         description = self.topics.full(names.ROBOT_DESCRIPTION)
         messages = read_topics(self.bag, {*wanted, description})
-        self.description = self._read_description(messages.pop(description))
+        if texts := messages.pop(description).data:
+            self.description = str(decode("std_msgs/msg/String", texts[0]).data)
         states = self.topics.full(names.JOINT_STATES)
         if not messages[states].data:
             raise BagError(
@@ -142,24 +144,16 @@ class Run(Result):
             raise BagError(
                 f"The bag {self.bag} has no finger '{unknown[0]}', but: {', '.join(seen)}."
             )
-        topics = HandTopics(prefix, list(fingers or self._fingers_of_scenario(seen) or seen))
-        topics.check(types)
+        of_hand: list[str] = []
+        with suppress(TactileHandError):  # the hand's file stayed on the machine of the run
+            of_hand = load_hand_config(self.scenario.hand).finger_names if self.scenario else []
+        named = list(fingers or (of_hand if set(seen) <= set(of_hand) else seen))
+        topics = HandTopics(prefix, named)
+        wrong = [topic for topic, kind in topics.types.items() if types.get(topic, kind) != kind]
+        if wrong:
+            listed = ", ".join(f"{topic} ({types[topic]})" for topic in wrong)
+            raise BagError(f"Topics of the bag {self.bag} have wrong types: {listed}.")
         return topics
-
-    def _fingers_of_scenario(self, seen: list[str]) -> list[str]:
-        """Return the fingers of the scenario's hand, or none if the bag is of another hand."""
-        try:
-            named = load_hand_config(self.scenario.hand).finger_names if self.scenario else []
-        except TactileHandError:  # the hand's file stayed on the machine of the run
-            return []
-        return named if set(seen) <= set(named) else []
-
-    def _read_description(self, messages: TopicMessages) -> str:
-        """Return the recorded URDF of the hand, empty if none was recorded."""
-        kind = self.summary.types.get(self.topics.full(names.ROBOT_DESCRIPTION))
-        if not messages.data or kind != "std_msgs/msg/String":
-            return ""
-        return str(decode(kind, messages.data[0]).data)
 
     def _take(self, messages: Mapping[str, TopicMessages]) -> Run:
         """Fill in everything that follows from the messages of one section."""

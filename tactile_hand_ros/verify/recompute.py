@@ -52,23 +52,14 @@ COLUMNS = ("topic", "ticks", "identical", "first difference", "largest differenc
 
 @dataclass(frozen=True)
 class Comparison:
-    """One topic, recorded and recomputed.
-
-    Attributes:
-        topic: Its relative name.
-        unit: Unit of the difference.
-        compared: Number of ticks with a recorded message.
-        identical: Number of those that match bit for bit.
-        first: First tick that differs [ns], None if there is none.
-        largest: Largest difference; NaN where only one of the two has an answer.
-    """
+    """One topic, recorded and recomputed."""
 
     topic: str
     unit: str
-    compared: int
-    identical: int
-    first: int | None
-    largest: float
+    compared: int  # ticks with a recorded message
+    identical: int  # those that match bit for bit
+    first: int | None  # the first tick that differs, ns
+    largest: float  # difference; NaN where only one of the two has an answer
 
     @property
     def same(self) -> bool:
@@ -86,12 +77,7 @@ class Comparison:
 
 @dataclass(frozen=True)
 class Recomputation:
-    """The result of a recomputation.
-
-    Attributes:
-        record: The recomputed run; arrays that controllers do not compute are as recorded.
-        comparisons: One comparison per topic.
-    """
+    """The recomputed run, in which what controllers do not compute is as recorded; comparisons."""
 
     record: Record
     comparisons: list[Comparison]
@@ -105,10 +91,8 @@ class Recomputation:
 def recompute(run: Run, law: str = "") -> Recomputation:
     """Recompute the controllers' answers from the sensor topics of a run.
 
-    Args:
-        run: The run; its scenario must be known.
-        law: Law to use instead of the recorded one. A user's own law must be given even if it is
-            the recorded one, because a recording imports no code.
+    `law` replaces the recorded one. A user's own law must be given even if it is the recorded one,
+    because a recording imports no code.
 
     Raises:
         BagError: If the scenario is unknown.
@@ -148,11 +132,7 @@ class ShadowLoop(Chain):
     """The chain of controllers of `ClosedLoop`, fed from a recording."""
 
     def __init__(self, inputs: Inputs) -> None:
-        """Build the controllers.
-
-        Raises:
-            TactileHandError: If the hand cannot be built.
-        """
+        """Build the controllers; raise TactileHandError if the hand cannot be built."""
         r, k = inputs.record, len(inputs.record.finger_names)
         self._inputs = inputs
         self._waiting = {node: deque(inputs.changes[node]) for node in CONTROLLERS}
@@ -254,8 +234,7 @@ def _apply(change: Change, node: str, block: Any) -> None:
 class _AtItsTicks:
     """A block that answers only the ticks that its node answered.
 
-    The regulator, from its first answer on, also processes ticks that it is too slow to answer. The
-    other nodes skip them.
+    The regulator, from its first answer on, also processes those that it is too slow to answer.
     """
 
     def __init__(self, block: Any, ticks: set[int], nothing: Any) -> None:

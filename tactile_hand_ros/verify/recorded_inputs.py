@@ -36,12 +36,9 @@ OF_LAW = ("law.name", "law.folder")
 
 
 class Change(NamedTuple):
-    """A change of a controller in a recorded run.
+    """A change of a controller: the first tick [ns] whose answer it could change, kind, value.
 
-    Attributes:
-        stamp: The first tick whose answer it could change [ns].
-        name: `PARAMETERS`, the topic of a command, or the service or latched topic of a request.
-        value: The configuration, a `Target`, a grasp force [N], or the value of the request.
+    `name` is `PARAMETERS`, the topic of a command, or the service or latched topic of a request.
     """
 
     stamp: int
@@ -51,22 +48,13 @@ class Change(NamedTuple):
 
 @dataclass(frozen=True)
 class Inputs:
-    """The sensor topics of a run, and all changes by users.
-
-    Attributes:
-        record: All arrays, NaN without a message.
-        contacts: Contacts of each tick, None without a message.
-        measured: Ticks with a force from every finger, shape (n,).
-        changes: Changes of each controller by node, in the order of their ticks; the first is the
-            initial configuration.
-        may_skip: Whether a node may have skipped ticks, as it does in real time if it lags.
-    """
+    """The sensor topics of a run, and all changes by users."""
 
     record: Record
-    contacts: list[Contacts | None]
-    measured: Flags
-    changes: Mapping[str, Sequence[Change]]
-    may_skip: bool = False
+    contacts: list[Contacts | None]  # of each tick, None without a message
+    measured: Flags  # ticks with a force from every finger, shape (n,)
+    changes: Mapping[str, Sequence[Change]]  # by node; the first is the initial configuration
+    may_skip: bool = False  # whether a node may skip ticks, as in real time if it lags
 
     def answered(self, answers: Array) -> Flags:
         """Return which ticks a node did not skip, shape (n,), from its answers, shape (n, ...)."""
@@ -77,14 +65,8 @@ class Inputs:
 def read_inputs(run: Run, scenario: Scenario, of_scenario: Collection[str] = ()) -> Inputs:
     """Collect the inputs of a run.
 
-    Args:
-        run: The run.
-        scenario: Its scenario, for controllers without a recorded configuration.
-        of_scenario: Parameters always taken from the scenario.
-
-    Raises:
-        BagError: If the bag cannot be read.
-        ConfigurationError: If a recorded configuration is invalid.
+    The scenario is for controllers without a recorded configuration; parameters `of_scenario` are
+    always taken from it. Raise ConfigurationError if a recorded configuration is invalid.
     """
     record = run.record
     series = run.series[run.topics.full(names.CONTACTS)]

@@ -44,14 +44,6 @@ def test_a_law_beside_the_scenario_runs_and_keeps_the_gains(tmp_path, scenario):
     np.testing.assert_array_equal(ran.command, paper.command)
 
 
-def test_a_law_of_the_same_name_in_another_folder_is_another_law(tmp_path):
-    one = load_scenario(write(tmp_path / "a"))
-    two = load_scenario(write(tmp_path / "b", LAW.replace("gain = 1.0", "gain = 2.0")))
-    first, second = ClosedLoop(one).run(1).command, ClosedLoop(two).run(1).command
-    assert not np.array_equal(first, second)
-    np.testing.assert_array_equal(ClosedLoop(one).run(1).command, first)
-
-
 def test_a_law_is_found_on_the_path_and_in_the_working_directory(tmp_path, monkeypatch):
     write(tmp_path / "a")
     (tmp_path / "a" / "my_law.py").rename(tmp_path / "a" / "law_on_path.py")
@@ -87,13 +79,12 @@ def test_a_recorded_configuration_imports_nothing(tmp_path):
         ("my_law:Mine", LAW, "its module has no 'Mine'"),
         ("my_law:MyLaw", "import missing_thing", "it needs the module 'missing_thing'"),
         ("my_law:MyLaw", "1 / 0", "its module fails with ZeroDivisionError: division by zero"),
-        ("my_law:MyLaw", "class MyLaw(", "its module fails with SyntaxError"),
         ("my_law:MyLaw", "MyLaw = 3", "it is a int; expected a class"),
         ("json:MyLaw", LAW, "'json' is a module of Python itself"),
         ("my_law:MyLaw", "class MyLaw:\n  drive = 3", "it has no internal_torque"),
         (
             "my_law:MyLaw",
-            "class MyLaw:\n  def __init__(self, c, r): pass\n  def internal_torque(self): pass",
+            "class MyLaw:\n  def internal_torque(self): pass",
             r"it has no drive; expected drive\(self, wrench\)",
         ),
     ],
@@ -105,25 +96,21 @@ def test_what_is_no_law_is_refused(tmp_path, name, law, message):
 
 
 @pytest.mark.parametrize(
-    ("body", "message"),
+    ("method", "message"),
     [
-        ("return 3.0", r"returns 3.0 from internal_torque\(\); expected an array of 9 finite"),
-        ("return super().internal_torque()[:2]", "array of 9 finite torques"),
-        ("return super().internal_torque() * float('nan')", "array of 9 finite torques"),
-        ("return self.lost", "fails at the first tick with AttributeError: .*lost"),
+        (
+            "internal_torque(self): return 3.0",
+            r"returns 3.0 from internal_torque\(\); expected an array of 9 finite",
+        ),
+        ("internal_torque(self): return [1.0] * 2", "array of 9 finite torques"),
+        ("internal_torque(self): return self.lost", "first tick with AttributeError: .*lost"),
+        ("drive(self): pass", "fails at the first tick with TypeError"),
+        ("__init__(self, config): pass", "fails at the first tick with TypeError"),
     ],
 )
-def test_a_law_without_torques_is_refused_before_it_holds_anything(tmp_path, body, message):
-    law = LAW.replace("return self.gain * super().internal_torque()", body)
-    scenario = load_scenario(write(tmp_path / "a", law))
+def test_a_law_without_torques_is_refused_before_it_holds_anything(tmp_path, method, message):
+    scenario = load_scenario(write(tmp_path / "a", f"{LAW}\n    def {method}\n"))
     with pytest.raises(ConfigurationError, match=message):
-        check_scenario(scenario)
-
-
-@pytest.mark.parametrize("wrong", ["def drive(self): pass", "def __init__(self, config): pass"])
-def test_a_law_that_cannot_be_called_is_refused_too(tmp_path, wrong):
-    scenario = load_scenario(write(tmp_path / "a", f"{LAW}\n    {wrong}\n"))
-    with pytest.raises(ConfigurationError, match="fails at the first tick with TypeError"):
         check_scenario(scenario)
 
 
@@ -148,7 +135,7 @@ def test_a_law_may_be_in_a_package_and_leaves_the_path_as_it_was(tmp_path):
 
 
 def test_a_law_of_another_folder_is_imported_with_all_modules_of_its_package(tmp_path):
-    gains = []
+    configs = []
     for folder, gain in (("one", "1.0"), ("two", "2.0")):
         package = tmp_path / folder / "twin_laws"
         package.mkdir(parents=True)
@@ -160,6 +147,5 @@ def test_a_law_of_another_folder_is_imported_with_all_modules_of_its_package(tmp
         (package / "gentle.py").write_text(law)
         file = package.parent / "mine.yaml"
         file.write_text("extends: paper\nlaw: twin_laws.gentle:MyLaw\n")
-        config = load_scenario(str(file)).manipulation_controller.law
-        gains.append(law_of(config).gain)
-    assert gains == [1.0, 2.0]
+        configs.append(load_scenario(str(file)).manipulation_controller.law)
+    assert [law_of(config).gain for config in configs] == [1.0, 2.0]

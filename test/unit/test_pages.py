@@ -2,7 +2,6 @@
 """The documentation's examples work as described, and its commands and options exist."""
 
 import glob
-import importlib.util
 import os
 import re
 import runpy
@@ -13,7 +12,7 @@ import sys
 from collections.abc import Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
-from types import ModuleType, SimpleNamespace
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -36,15 +35,7 @@ _NUMBER = re.compile(r"(?<![\w./-])\d+(?:\.\d+)?")
 _SHORT = slice(0, 60)  # ticks of a run, sufficient for commands that read it
 
 
-def load_tool() -> ModuleType:
-    spec = importlib.util.spec_from_file_location("draw_pages", ROOT / "docs" / "draw_pages.py")
-    assert spec and spec.loader
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
-tool = load_tool()
+tool = SimpleNamespace(**runpy.run_path(str(ROOT / "docs" / "draw_pages.py")))
 
 
 @pytest.fixture(scope="module", autouse=True)

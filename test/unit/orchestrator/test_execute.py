@@ -28,18 +28,8 @@ SCENARIO = load_scenario("paper", {"duration": 0.1})
 
 
 @pytest.mark.parametrize(
-    ("options", "wanted"),
-    [({}, "paper"), ({"named": "pull"}, "pull"), ({"scenario": "pull"}, "pull")],
-)
-def test_a_scenario_is_an_argument_or_an_option(options, wanted):
-    assert RunOptions(**options).wanted == wanted
-
-
-@pytest.mark.parametrize(
     ("options", "complaint"),
     [
-        ({"scenario": ""}, "the scenario is '', expected its name or a YAML file"),
-        ({"scenario": "paper", "named": "pull"}, "the scenario is given twice"),
         ({"scenario": "papr"}, "did you mean 'paper'"),
         ({"scenario": "broken.yaml"}, "broken.yaml: line 3, .* is not valid YAML"),
         ({"duration": -1.0}, "--duration"),
@@ -57,18 +47,12 @@ def test_what_is_refused_starts_nothing(tmp_path, monkeypatch, options, complain
     assert not (tmp_path / "runs").exists()
 
 
-@pytest.fixture
-def interrupted(handlers: None) -> Signals:
-    """Return signals after a first signal."""
-    signals = Signals()
-    signals.install()
+@pytest.mark.usefixtures("handlers")
+def test_a_signal_before_the_start_leaves_no_directory(tmp_path):
+    signals = Signals().install()
     os.kill(os.getpid(), signal.SIGINT)
-    return signals
-
-
-def test_a_signal_before_the_start_leaves_no_directory(tmp_path, interrupted):
     with isolated_domain(), pytest.raises(Interrupted, match="SIGINT"):
-        execute(RunOptions(out=tmp_path / "runs"), interrupted)
+        execute(RunOptions(out=tmp_path / "runs"), signals)
     assert not (tmp_path / "runs").exists()
 
 
@@ -88,18 +72,10 @@ def test_one_run_has_a_domain_and_namespace_until_it_ends(place):
         pass
 
 
-@pytest.mark.parametrize(
-    ("pacing", "asked", "expected"),
-    [
-        ("realtime", None, True),
-        ("lockstep", None, False),
-        ("realtime", False, False),
-        ("lockstep", True, True),
-    ],
-)
-def test_nodes_share_a_process_in_real_time_unless_asked_otherwise(pacing, asked, expected):
-    scenario = load_scenario("paper", {"plant.pacing": pacing})
-    assert shares_process(scenario, asked) is expected
+def test_nodes_share_a_process_in_real_time_unless_asked_otherwise():
+    real_time = load_scenario("paper", {"plant.pacing": "realtime"})
+    assert shares_process(real_time, None) and not shares_process(real_time, False)
+    assert shares_process(SCENARIO, True) and not shares_process(SCENARIO, None)
 
 
 def test_a_run_ends_with_the_tick_at_its_duration_or_never_and_the_recorder_ends_last():
@@ -138,16 +114,6 @@ def test_a_node_takes_part_without_parameter_services():
             offered = node.get_service_names_and_types_by_node("someone", "/left")
             assert not [name for name, _ in offered if "parameters" in name]
     assert not context.ok()
-
-
-def test_ros_arguments_that_cannot_be_used_are_one_line():
-    with (
-        isolated_domain(),
-        pytest.raises(ConfigurationError, match="ROS arguments cannot be used: ") as caught,
-        ros_context(["x", "--ros-args", "-p", "gain"]),
-    ):
-        pass
-    assert "\n" not in str(caught.value) and ", at " not in str(caught.value)
 
 
 def test_ros_arguments_are_taken_out():

@@ -102,7 +102,7 @@ def test_when_an_assumption_held(share: float, count: int, text: str) -> None:
 def test_how_complete_a_bag_is() -> None:
     counts = {"/a": TopicCount(9, 7, True), "/b": TopicCount(8, 6, False)}
     counts["/c"] = TopicCount(1, 1, None)
-    bag = BagMetrics(99, counts, ["/d"], False, 2, 1.0, 250.0, 0.001, 0.002, math.nan)
+    bag = BagMetrics(99, counts, ["/d"], False, 2, 250.0, 0.001, 0.002, math.nan)
     assert tables.bag_rows(bag) == [
         ["messages", "99"],
         ["speed", "250 ticks/s"],

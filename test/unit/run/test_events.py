@@ -42,27 +42,23 @@ def test_a_quiet_run_has_its_first_command_only(record):
     assert events(record) == [Event(0.0, "command", "", "a new pose is commanded")]
 
 
-def test_slip_its_detection_and_the_reaction(record):
+def test_each_event_has_its_tick_and_finger(record):
+    record.desired_position[:10] = np.nan
+    record.desired_position[70:] = [0.0, 0.1, 0.0]
     record.true_sliding[30:40, 0] = 0.002
     record.grip[33:38, 0] = ContactState.SLIP
     record.grasp_force[35:] = 12.0
-    assert told(record, "slip") == [(pytest.approx(0.30), "thumb")]
-    assert told(record, "detection") == [(pytest.approx(0.33), "thumb")]
-    assert told(record, "reaction") == [(pytest.approx(0.35), "")]
-
-
-def test_contacts_lost_and_made(record):
     record.contact_positions[50:60, 1] = np.nan
-    assert told(record, "contact_lost") == [(pytest.approx(0.5), "ring_finger")]
-    assert told(record, "contact_made") == [(pytest.approx(0.6), "ring_finger")]
-    text = next(e.text for e in events(record) if e.kind == "contact_lost")
-    assert text == "ring finger loses contact"
-
-
-def test_new_poses(record):
-    record.desired_position[:10] = np.nan
-    record.desired_position[70:] = [0.0, 0.1, 0.0]
-    assert [time for time, _ in told(record, "command")] == pytest.approx([0.1, 0.7])
+    assert [(round(100 * e.time), e.kind, e.finger) for e in events(record)] == [
+        (10, "command", ""),
+        (30, "slip", "thumb"),
+        (33, "detection", "thumb"),
+        (35, "reaction", ""),
+        (50, "contact_lost", "ring_finger"),
+        (60, "contact_made", "ring_finger"),
+        (70, "command", ""),
+    ]
+    assert "ring finger loses contact" in [e.text for e in events(record)]
 
 
 def test_slip_is_faster_than_a_millimetre_a_second(record):
@@ -100,12 +96,6 @@ def test_a_reaction_is_a_rise_by_two_percent_within_a_quarter_of_a_second(
     found = [each for each in events(record) if each.kind == "reaction"]
     assert [each.time for each in found] == [pytest.approx(0.01 * row)] * count
     assert all(each.text == "the grasp force rises above 10 N" for each in found)
-
-
-def test_an_alarm_at_the_first_ticks_is_measured_against_the_first(record):
-    record.grip[1:5, 0] = ContactState.SLIP
-    record.grasp_force[1:] = 12.0
-    assert [time for time, _ in told(record, "reaction")] == [pytest.approx(0.01)]
 
 
 def test_a_contact_that_was_lost_in_the_dark_is_lost_when_touch_is_back(record):

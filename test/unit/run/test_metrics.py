@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Metrics of records that can be computed by hand."""
+"""Metrics of records that can be computed by hand, and how a goal judges them."""
 
 import json
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -17,8 +18,9 @@ from tactile_hand_ros.rotations import (
     rotation_from_vector,
 )
 from tactile_hand_ros.run import derived
-from tactile_hand_ros.run.metrics import json_ready, metrics
-from tactile_hand_ros.scenario.scenario import Scenario
+from tactile_hand_ros.run.events import Asked, releases
+from tactile_hand_ros.run.metrics import Judged, json_ready, metrics
+from tactile_hand_ros.scenario.scenario import GoalConfig, Scenario
 
 STRAIGHT = (0.0, 0.0, 0.0, 1.0)
 SECOND = 1_000_000_000
@@ -46,12 +48,11 @@ def turned(angle: float) -> np.ndarray:
     return quaternion_from_rotation(rotation_from_vector([0.0, 0.0, angle]))
 
 
-def scenario(position: float = 0.01, rotation: float = 0.1) -> Scenario:
-    return Scenario(goal={"position_error": position, "rotation_error": rotation})
+SCENARIO = Scenario(goal={"position_error": 0.01, "rotation_error": 0.1})
 
 
 def test_a_perfect_run():
-    m = metrics(still_record(), scenario())
+    m = metrics(still_record(), SCENARIO)
     assert (m.ticks, m.simulated_time_s, m.settling_time_s) == (11, 1.0, 0.0)
     assert m.final_position_error_m == m.final_rotation_error_rad == 0.0
     assert m.final_normal_forces_N == m.optimal_normal_forces_N == {"a": 5.0, "b": 3.0, "c": 2.0}
@@ -61,11 +62,13 @@ def test_a_perfect_run():
     assert m.goal_reached is True
 
 
-def test_final_errors():
+def test_final_errors_and_the_peak_rate():
     record = still_record()
     record.auxiliary_position[-1] = (0.003, 0.0, -0.004)
     record.auxiliary_quaternion[-1] = turned(0.2)
+    record.rates[2, 1], record.rates[3] = -0.7, np.nan
     m = metrics(record)
+    assert m.peak_joint_rate_rad_per_s == 0.7
     assert m.final_position_error_m == pytest.approx(0.005)
     assert m.final_rotation_error_rad == pytest.approx(2.0 * math.sin(0.2))
     assert m.goal_reached is None
@@ -75,12 +78,10 @@ def test_final_errors():
 def test_goal_of_not_slipping(slid, reached):
     """Unknown slip does not count against the run."""
     record = still_record()
-    record.true_slid[:] = 0.0
     record.true_slid[-1, 1] = slid
-    wanted = Scenario(goal={"slip_distance": 0.01})
-    m = metrics(record, wanted)
+    m = metrics(record, Scenario(goal={"slip_distance": 0.01}))
     assert m.goal_reached is reached
-    assert m.max_slip_distance_m == pytest.approx(np.nan_to_num(slid))
+    assert m.max_slip_distance_m == pytest.approx(slid, nan_ok=True)
 
 
 def test_before_a_command_the_first_pose_that_is_known_is_the_desired_one():
@@ -153,7 +154,7 @@ def test_an_object_that_was_lost():
         array[5:] = np.nan
     record.auxiliary_quaternion[5:] = np.nan
     record.forces[5:] = 0.0
-    m = metrics(record, scenario())
+    m = metrics(record, SCENARIO)
     assert m.goal_reached is False
     for value in (m.final_position_error_m, m.final_rotation_error_rad, m.settling_time_s):
         assert math.isnan(value)
@@ -163,12 +164,6 @@ def test_an_object_that_was_lost():
     assert plain["final_position_error_m"] is None
     assert plain["optimal_normal_forces_N"] == {"a": None, "b": None, "c": None}
     json.dumps(plain, allow_nan=False)
-
-
-def test_peak_rate():
-    record = still_record()
-    record.rates[2, 1], record.rates[3] = -0.7, np.nan
-    assert metrics(record).peak_joint_rate_rad_per_s == 0.7
 
 
 def test_what_turns_as_one_neither_moves_in_the_grasp_nor_rolls():
@@ -202,25 +197,19 @@ def test_motion_in_the_grasp_counts_from_the_first_tick_at_which_it_is_known():
 
 def test_contacts_that_roll_over_the_object():
     record = still_record()
-    record.object_position[:] = np.linspace(0.0, 1.0, len(record))[:, None]
-    record.object_quaternion[:] = STRAIGHT
-    record.true_positions[:] = record.object_position[:, None] + np.eye(3)
+    record.object_position[:], record.object_quaternion[:] = 0.0, STRAIGHT
+    record.true_positions[:] = np.eye(3)
+    record.true_positions[0] = np.nan
     record.true_positions[4, 1, 2] += 0.03
     rolled = derived.rolling(record)
-    assert rolled[4, 1] == pytest.approx(0.03)
-    rolled[4, 1] = 0.0
-    assert rolled.max() < 1e-15
-    record.true_positions[0] = np.nan
-    record.true_positions[1, 2, 0] += 0.01
-    rolled = derived.rolling(record)
-    assert np.isnan(rolled[0]).all() and rolled[1].max() == 0.0
-    assert rolled[2:, 2] == pytest.approx(0.01)
+    assert np.isnan(rolled[0]).all() and rolled[4, 1] == pytest.approx(0.03)
+    assert rolled[[1, 2, 3, *range(5, 11)]].max() == 0.0
     unknown = derived.rolling(still_record())
     assert unknown.shape == (11, 3) and np.isnan(unknown).all()
 
 
 def test_records_that_hold_next_to_nothing():
-    m = metrics(still_record(1), scenario())
+    m = metrics(still_record(1), SCENARIO)
     assert (m.ticks, m.simulated_time_s, m.goal_reached) == (1, 0.0, True)
     m = metrics(Record.empty(3, [], ["j1"]))
     assert m.final_normal_forces_N == {} and m.contacts_lost_ticks == 0
@@ -244,29 +233,22 @@ def test_rotation_error_is_that_of_the_laws(seed):
 
 
 def test_plain_data_for_json():
-    data = {"a": [1.0, math.nan, (math.inf, 2)], "b": {"c": -math.inf, "d": None, "e": True}}
-    assert json_ready(data) == {"a": [1.0, None, [None, 2]], "b": {"c": None, "d": None, "e": True}}
+    data = {"a": [1.0, math.nan, (math.inf, 2)], "b": {"c": -math.inf, "e": True}}
+    assert json_ready(data) == {"a": [1.0, None, [None, 2]], "b": {"c": None, "e": True}}
 
 
 def test_settling_counts_from_the_last_command_to_the_last_tick_outside():
     record = still_record()
     record.auxiliary_position[[1, 3, 4, 7], 0] = 1.0
-    assert metrics(record, scenario()).settling_time_s == pytest.approx(0.8)
+    assert metrics(record, SCENARIO).settling_time_s == pytest.approx(0.8)
     record.desired_position[5:, 1] = 1e-4
-    assert metrics(record, scenario()).settling_time_s == pytest.approx(0.3)
+    assert metrics(record, SCENARIO).settling_time_s == pytest.approx(0.3)
     record.desired_quaternion[6:] = record.auxiliary_quaternion[8:] = turned(0.2)
-    assert metrics(record, scenario()).settling_time_s == pytest.approx(0.2)
+    assert metrics(record, SCENARIO).settling_time_s == pytest.approx(0.2)
     record.desired_position[7:, 1] = 2e-4
-    assert metrics(record, scenario()).settling_time_s == pytest.approx(0.1)
+    assert metrics(record, SCENARIO).settling_time_s == pytest.approx(0.1)
     record.auxiliary_position[-1, 0] = 1.0
-    assert math.isnan(metrics(record, scenario()).settling_time_s)
-
-
-def test_errors_may_be_as_large_as_the_goal():
-    record = still_record()
-    record.auxiliary_position[-1, 0] = 0.25
-    assert metrics(record, scenario(position=0.25)).goal_reached is True
-    assert metrics(record, scenario(position=0.2499)).goal_reached is False
+    assert math.isnan(metrics(record, SCENARIO).settling_time_s)
 
 
 def test_peaks_of_friction_count_from_20_ms_on():
@@ -275,3 +257,41 @@ def test_peaks_of_friction_count_from_20_ms_on():
     record.forces[1, 0], record.forces[2, 1] = (50.0, 10.0, 0.0), (6.0, 10.0, 8.0)
     found = metrics(record).max_required_friction
     assert found == pytest.approx({"a": 0.0, "b": 1.0, "c": 0.0})
+
+
+GOAL = GoalConfig(position_error=0.01, rotation_error=0.1, slip_distance=0.002)
+UNKNOWN = metrics(Record.empty(1, ["a"], ["j"]))
+
+
+def test_each_number_is_judged_by_its_own_limit():
+    known = replace(UNKNOWN, final_position_error_m=0.02, final_rotation_error_rad=0.05)
+    assert known.judged(GOAL) == [
+        Judged("final position error", 0.02, 0.01, "m"),
+        Judged("final rotation error", 0.05, 0.1, "rad"),
+    ]
+    slid = replace(known, max_slip_distance_m=0.0).judged(GOAL)[2]
+    assert slid == Judged("longest slip", 0.0, 0.002, "m")
+
+
+@pytest.mark.parametrize(
+    ("dropped", "steered", "reached", "words"),
+    [
+        (1.25, True, True, "object dropped at 1.250 s"),
+        (0.0, False, False, "object dropped at 0.000 s"),
+        (math.nan, True, False, "finished"),
+        (math.nan, False, True, "goal reached"),
+        (math.nan, False, False, "goal not reached"),
+        (math.nan, False, None, ""),
+    ],
+)
+def test_what_became_of_a_run(dropped, steered, reached, words):
+    found = replace(UNKNOWN, dropped_at_s=dropped, goal_reached=reached)
+    assert found.headline(steered=steered) == words
+
+
+def test_the_hand_is_open_from_the_last_time_it_was_asked_to_until_it_grasps():
+    opens, closes = Asked(2 * 10**9, "grasp", "false"), Asked(3 * 10**9, "grasp", "true")
+    other = Asked(4 * 10**9, "enable", "false")
+    assert releases([]) == releases([other]) == releases([opens, closes]) == []
+    assert releases([opens, other]) == [2.0]
+    assert releases([closes, opens, closes, opens._replace(stamp=5 * 10**9)]) == [5.0]

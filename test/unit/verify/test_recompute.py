@@ -189,17 +189,10 @@ class Changing(ClosedLoop):
 
 
 LIVE: dict[str, dict[int, dict[str, Any]]] = {
-    "slip_regulator": {
-        60: {"reflex.margin": 0.3, "reserve.floor": 1.0},
-        180: {"mode": "user", "maximum": 30.0},
-    },
-    "force_optimizer": {
-        90: {"weights": [5.0, 1.0, 8.0], "load_memory": 0.7},
-        150: {"minimum_normal": 0.1, "shape_time": 0.02},
-    },
+    "slip_regulator": {60: {"reflex.margin": 0.3}, 180: {"mode": "user", "maximum": 30.0}},
+    "force_optimizer": {90: {"weights": [5.0, 1.0, 8.0], "load_memory": 0.7}},
     "manipulation_controller": {
         70: {"law.k_p": 6.0, "law.damping": 0.1, "law.integral.k_p": 2.0},
-        130: {"midpoint_hold": True, "reference_time": 0.05, "law.observer.time": 0.0},
         200: {"gravity_compensation": False, "law.integral.k_p": 0.0, "law.observer.time": 0.02},
     },
 }
@@ -235,35 +228,26 @@ def test_live_parameters_count_from_their_tick_on(tmp_path):
     assert wrong["joint_command"] == wrong["optimal_force"] == 60 * TICK  # the margin
 
 
-CALLS = {
-    30: ("reset", None),
-    60: ("grasp", False),
-    70: ("reset", None),
-    80: ("grasp", True),
-    230: ("enable", False),
-    240: ("enable", True),
+CALLS: dict[int, tuple[str, str, Callable[[Controller], None]]] = {
+    30: ("reset", "", Controller.reset),
+    60: ("grasp", "false", Controller.release),
+    70: ("reset", "", Controller.forget),  # open fingers stay open
+    80: ("grasp", "true", Controller.grasp),
+    230: ("enable", "false", lambda controller: setattr(controller, "enabled", False)),
+    240: ("enable", "true", lambda controller: setattr(controller, "enabled", True)),
 }
-"""Service calls, by row."""
+"""Service calls and what they do, by row."""
 
 
 def test_service_calls_count_from_their_tick_on(tmp_path):
     """A hand that only damps for a while, a reset, fingers that open and close on a new grasp."""
     scenario = load_scenario("user_grip", GRIP | {"gravity": [0.0, 0.0, 0.0]})
     topic = "manipulation_controller/requests"
-    calls = [
-        (row, topic, request_message(row * TICK, "", name, str(value).lower()))
-        for row, (name, value) in CALLS.items()
-    ]
-    calls.append((120, "slip_regulator/requests", request_message(120 * TICK, "", "reset")))
-    changes: Changes = {
-        30: lambda loop: loop.controller.reset(),
-        60: lambda loop: loop.controller.release(),
-        70: lambda loop: loop.controller.forget(),  # open fingers stay open
-        80: lambda loop: loop.controller.grasp(),
-        120: lambda loop: loop.regulator.reset(),
-        230: lambda loop: setattr(loop.controller, "enabled", False),
-        240: lambda loop: setattr(loop.controller, "enabled", True),
-    }
+    calls = [(120, "slip_regulator/requests", request_message(120 * TICK, "", "reset"))]
+    changes: Changes = {120: lambda loop: loop.regulator.reset()}
+    for row, (name, value, call) in CALLS.items():
+        calls.append((row, topic, request_message(row * TICK, "", name, value)))
+        changes[row] = lambda loop, call=call: call(loop.controller)
     record = Changing(scenario, changes).run(TICKS)
     drove = np.isfinite(record.auxiliary_position[:, 0])
     assert not drove[60:90].any() and drove[150:230].all()
