@@ -61,7 +61,7 @@ def test_tips_are_where_the_physics_has_them(layout: str) -> None:
     ],
 )
 def test_a_broken_urdf_is_refused(old: str, new: str) -> None:
-    with pytest.raises(HandModelError, match="not a valid URDF"):
+    with pytest.raises(HandModelError, match="URDF"):
         hand_tree(SLIDER.replace(old, new), ["slide"], {})
 
 
