@@ -90,8 +90,7 @@ class CockpitNode(TactileNode[CockpitConfig]):
         self._bell = self.create_guard_condition(self.guarded("commands", self._on_commands))
         self.create_timer(_STATUS_PERIOD, self._on_status)
         self.status = self._status()
-        config = self.config
-        self._server = Server(self, live_page(config.name), config.address, config.port)
+        self._server = Server(self, live_page(self.config.name), self.config.port)
         print(f"{LINK}{self._server.link}", flush=True)
 
     def _subscribe(self) -> None:
@@ -156,7 +155,6 @@ class CockpitNode(TactileNode[CockpitConfig]):
                 reply(False, str(error))
             except Exception as error:
                 reply(False, described(error))
-                self.survive("commands", error)
 
     def _on_batch(self, message: UInt8MultiArray) -> None:
         batch = unpack_batch(message)

@@ -31,6 +31,7 @@ web = optional("aiohttp.web", "the cockpit")
 Reply = Callable[[bool, str], None]
 
 _HEAD = struct.Struct("<IIII")  # epoch, rows, width, nothing
+_ADDRESS = "127.0.0.1"
 _LARGEST = 65_536  # bytes of a command
 
 
@@ -70,14 +71,14 @@ class Server:
         link: The address with the token; anyone who has it may watch and steer.
     """
 
-    def __init__(self, node: CockpitNode, page: str, address: str, port: int) -> None:
-        """Start the thread; port 0 takes a free one.
+    def __init__(self, node: CockpitNode, page: str, port: int) -> None:
+        """Start the thread, on this machine only; port 0 takes a free one.
 
         Raises:
-            ConfigurationError: If the address cannot be used.
+            ConfigurationError: If the port cannot be used.
         """
         try:
-            listener = socket.create_server((address, port))
+            listener = socket.create_server((_ADDRESS, port))
         except OSError as error:
             raise ConfigurationError(
                 f"the page cannot be served: {error.strerror}; choose another port, or 0 for any "
@@ -88,8 +89,8 @@ class Server:
         self._tabs = set[Tab]()
         self._driver: Tab | None = None
         port = listener.getsockname()[1]
-        self._hosts = [f"{address}:{port}", f"localhost:{port}"]
-        self.link = f"http://{address}:{port}/?token={self._token}"
+        self._hosts = [f"{_ADDRESS}:{port}", f"localhost:{port}"]
+        self.link = f"http://{_ADDRESS}:{port}/?token={self._token}"
         app = web.Application()
         app.add_routes([
             web.get("/", self._on_page),
