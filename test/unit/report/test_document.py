@@ -117,7 +117,6 @@ def test_of_many_ticks_first_last_peaks_and_events_are_shown(limit: int) -> None
     rows = shown(100, limit, [up, down], np.array([42]))
     assert {0, 37, 42, 61, 99} <= set(rows.tolist()) and (np.diff(rows) > 0).all()
     assert len(rows) <= max(limit, 9) + 9
-    np.testing.assert_array_equal(shown(100, 100, [up], np.array([42])), np.arange(100))
 
 
 def test_a_gap_in_a_bag_is_a_gap_and_no_lost_contact(tmp_path: Path) -> None:
@@ -171,8 +170,8 @@ def test_a_page_has_the_last_ten_sections(tmp_path: Path) -> None:
 
 def test_of_a_real_hand_has_no_object_and_nothing_judges_it(tmp_path: Path) -> None:
     document = run_document(Run(write_record(tmp_path / "bag", random_record(truth=False))))
-    assert document["object"] is None and document["hand"] is None and document["assumptions"] == []
-    assert document["passed"] is None and document["headline"] == ""
+    assert (document["object"], document["hand"], document["assumptions"]) == (None, None, [])
+    assert (document["passed"], document["headline"]) == (None, "")
     assert np.isnan(values(document, "object_position")).all()
     assert any("The scenario is unknown" in note for note in document["notes"])
     labels = {tile["label"]: tile for tile in document["tiles"]}
@@ -191,35 +190,27 @@ def test_a_dropped_object_is_the_headline(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "words"),
+    ("old", "new", "words", "corners"),
     [
-        ("name: paper", "name: paper\nunheard_of: 1", "neither the hand's URDF"),
-        ("hand: paper", "hand: gone/hand.yaml", "The hand cannot be drawn: "),
-        ("hand: paper", "a: [", "neither the hand's URDF"),
+        ("name: paper", "name: paper\nunheard_of: 1", "The bag has neither the hand's URDF", 0),
+        ("hand: paper", "a: [", "The bag has neither the hand's URDF", 0),
+        ("hand: paper", "hand: gone/hand.yaml", "The hand cannot be drawn: ", 8),
+        ("mesh: ''", "mesh: gone.stl", "The object cannot be drawn: gone", 0),
+        ("shape: box", "shape: sphere", "", 614),
     ],
 )
-def test_a_scenario_that_does_not_fit_is_shown_as_text(
-    old: str, new: str, words: str, tmp_path: Path
+def test_of_another_machine_or_version_shows_what_fits(
+    old: str, new: str, words: str, corners: int, tmp_path: Path
 ) -> None:
     """A scenario of another version of the package may have any content."""
     text = resolved(load_scenario("paper")).replace(old, new)
     run = Run(write_record(tmp_path / "bag", random_record(5), custom_data={"scenario": text}))
     document = run_document(run)
-    assert document["hand"] is None and words in document["notes"][-1]
-    assert document["assumptions"] == [] and document["scenario"] == text
-
-
-@pytest.mark.parametrize(
-    ("old", "new", "corners", "notes"),
-    [("mesh: ''", "mesh: gone.stl", 0, 1), ("shape: box", "shape: sphere", 614, 0)],
-)
-def test_a_mesh_that_is_elsewhere_is_not_drawn_and_a_round_object_is(
-    old: str, new: str, corners: int, notes: int, tmp_path: Path
-) -> None:
-    told = {"scenario": resolved(load_scenario("paper")).replace(old, new)}
-    document = run_document(Run(write_record(tmp_path / "bag", random_record(5), custom_data=told)))
+    assert document["scenario"] == text
+    assert words in " ".join(document["notes"][-1:])
+    is_unknown = "hand" in words
+    assert (document["hand"] is None) == is_unknown == (document["assumptions"] == [])
     assert len((document["object"] or {"vertices": []})["vertices"]) == corners
-    assert sum("object cannot be drawn: gone" in note for note in document["notes"]) == notes
 
 
 def test_the_hand_that_was_recorded_is_drawn(tmp_path: Path) -> None:
