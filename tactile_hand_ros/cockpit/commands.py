@@ -12,7 +12,7 @@ import sys
 import threading
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from geometry_msgs.msg import PoseStamped, WrenchStamped
@@ -32,9 +32,6 @@ from tactile_hand_ros.ros.messages import PoseCodec, PushCodec
 from tactile_hand_ros.ros.parameters import to_parameter
 from tactile_hand_ros.ros.processes import PACKAGE
 from tactile_hand_ros.scenario.scenario import NODES, Scenario
-
-if TYPE_CHECKING:
-    from tactile_hand_ros.cockpit.node import CockpitNode
 
 MOST_FORCE = 30.0
 """Largest force of a push [N]: what a hand on the object could do with ease."""
@@ -66,8 +63,8 @@ def live_parameters(node: str) -> dict[str, Any]:
 class Commands:
     """Carries out the commands of the tab in control; called from the executor of the node."""
 
-    def __init__(self, node: CockpitNode) -> None:
-        """Create publishers and clients."""
+    def __init__(self, node: Any) -> None:
+        """Create publishers and clients of a `CockpitNode`."""
         self._node = node
         make, profile = node.create_publisher, qos.user_qos()
         self._pose = make(PoseStamped, names.DESIRED_POSE, profile)

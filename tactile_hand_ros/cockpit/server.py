@@ -18,13 +18,10 @@ import socket
 import struct
 import threading
 from collections.abc import Callable, Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from tactile_hand_ros.errors import ConfigurationError
 from tactile_hand_ros.extras import optional
-
-if TYPE_CHECKING:
-    from tactile_hand_ros.cockpit.node import CockpitNode
 
 web = optional("aiohttp.web", "the cockpit")
 
@@ -48,7 +45,7 @@ class Tab:
         """Send a message."""
         await self._socket.send_str(json.dumps(message))
 
-    async def show(self, node: CockpitNode, drives: bool) -> None:
+    async def show(self, node: Any, drives: bool) -> None:
         """Send what is new."""
         picture, status = node.picture, {**node.status, "drives": drives}
         if picture.epoch != self.epoch:
@@ -65,13 +62,13 @@ class Tab:
 
 
 class Server:
-    """Serves a node as long as the process lives.
+    """Serves the page of a `CockpitNode` as long as the process lives.
 
     Attributes:
         link: The address with the token; anyone who has it may watch and steer.
     """
 
-    def __init__(self, node: CockpitNode, page: str, port: int) -> None:
+    def __init__(self, node: Any, page: str, port: int) -> None:
         """Start the thread, on this machine only; port 0 takes a free one.
 
         Raises:

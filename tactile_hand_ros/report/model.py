@@ -22,21 +22,15 @@ from tactile_hand_ros.simulation.solid import Solid
 
 def hand(run: RunData) -> tuple[dict[str, Any] | None, str]:
     """Return the output of `hand_tree`, or None and a sentence if the hand is unknown."""
+    text = run.description  # the scenario may name another hand than the recorded one
     try:
-        text = _description(run)
-        tree = hand_tree(text, run.record.joint_names, _tips(run)) if text else None
+        if not text and run.scenario is not None:
+            text = Hand.load(run.scenario.hand, run.scenario.layout).description
+        if text:
+            return hand_tree(text, run.record.joint_names, _tips(run)), ""
     except TactileHandError as error:
         return None, f"The hand cannot be drawn: {error}."
-    if tree is None:
-        return None, "The bag has neither the hand's URDF nor its scenario; links are not drawn."
-    return tree, ""
-
-
-def _description(run: RunData) -> str:
-    """Return the URDF, preferably the recorded one, otherwise that of the scenario."""
-    if run.description or run.scenario is None:
-        return run.description
-    return Hand.load(run.scenario.hand, run.scenario.layout).description
+    return None, "The bag has neither the hand's URDF nor its scenario; links are not drawn."
 
 
 def _tips(run: RunData) -> dict[str, tuple[str, float]]:
