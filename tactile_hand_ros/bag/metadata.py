@@ -60,7 +60,6 @@ class BagMetadata:
         duration: Time from the first to the last message [ns].
         topics: The recorded topics.
         custom_data: Texts by name.
-        ros_distro: Name of the ROS distribution.
     """
 
     path: str
@@ -68,7 +67,6 @@ class BagMetadata:
     duration: int = 0
     topics: Sequence[TopicMetadata] = ()
     custom_data: Mapping[str, str] = field(default_factory=dict)
-    ros_distro: str = "jazzy"
 
     @property
     def message_count(self) -> int:
@@ -92,7 +90,7 @@ class BagMetadata:
             "relative_file_paths": [self.path],
             "files": [{"path": self.path, **totals}],
             "custom_data": dict(self.custom_data),
-            "ros_distro": self.ros_distro,
+            "ros_distro": "jazzy",  # whose format it is
         }
 
     def file_text(self) -> str:

@@ -69,13 +69,17 @@ def find_bag(path: Path) -> Path:
 
 @contextlib.contextmanager
 def open_bag(path: Path | str) -> Iterator[AnyReader]:
-    """Open a bag folder or a single ``.mcap`` or ``.db3`` file.
+    """Open a run with ``bag/`` in it, a bag folder, or a single ``.mcap`` or ``.db3`` file.
 
     Raises:
         BagError: If it is missing, empty, truncated or damaged.
     """
-    path = Path(path)
-    _check_present(path)
+    path = find_bag(Path(path))
+    if path.is_dir() and not (path / FILE_NAME).exists():
+        raise BagError(
+            f"The folder {path} has no {FILE_NAME}: it is not a bag, or its recording was cut off "
+            f"or is still running; run `tactile-hand recover {path}`."
+        )
     with _damage_refused(path):
         reader = AnyReader([path], default_typestore=get_typestore(Stores.ROS2_JAZZY))
         reader.open()
@@ -86,11 +90,7 @@ def open_bag(path: Path | str) -> Iterator[AnyReader]:
 
 
 def summarize(path: Path | str) -> BagSummary:
-    """Return topics, message counts and times of a bag.
-
-    Raises:
-        BagError: If the bag cannot be read.
-    """
+    """Return topics, message counts and times of a bag; raise BagError like `open_bag`."""
     # rosbags does not check the types of values in metadata.yaml.
     with open_bag(path) as reader, _damage_refused(path):
         counts: dict[str, int] = {}
@@ -112,8 +112,7 @@ def read_messages(
 ) -> Iterator[RecordedMessage]:
     """Yield the messages of topics (full names; all if None) in order of log time.
 
-    Raises:
-        BagError: If the bag cannot be read.
+    It raises BagError like `open_bag`, as does `read_topics`.
     """
     with open_bag(path) as reader:
         chosen = [c for c in reader.connections if topics is None or c.topic in topics]
@@ -133,11 +132,7 @@ class TopicMessages(NamedTuple):
 
 
 def read_topics(path: Path | str, topics: Collection[str]) -> dict[str, TopicMessages]:
-    """Read all messages of topics, given by full names; absent topics have no messages.
-
-    Raises:
-        BagError: If the bag cannot be read.
-    """
+    """Read all messages of topics, given by full names; absent topics have no messages."""
     found = {topic: TopicMessages([], []) for topic in topics}
     for message in read_messages(path, topics):
         found[message.topic].log_times.append(message.log_time)
@@ -194,16 +189,6 @@ def _damage_refused(path: Path | str) -> Iterator[None]:
             f"The bag {path} is empty, cut off or damaged ({reason[:200]}); "
             f"run `tactile-hand recover {path}`."
         ) from error
-
-
-def _check_present(path: Path) -> None:
-    if not path.exists():
-        raise BagError(f"The bag {path} does not exist; check the path.")
-    if path.is_dir() and not (path / FILE_NAME).exists():
-        raise BagError(
-            f"The folder {path} has no {FILE_NAME}: it is not a bag, or its recording was cut off "
-            f"or is still running; run `tactile-hand recover {path}`."
-        )
 
 
 def _custom_data(reader: AnyReader, path: Path) -> dict[str, str]:

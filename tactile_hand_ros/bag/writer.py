@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import contextlib
-import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -33,23 +32,21 @@ LIBRARY = "tactile_hand_ros"
 class BagWriter:
     """Writes serialized messages to a new bag in the format of rosbag2 (Jazzy).
 
-    A killed process loses the messages since the last `flush`. After a failed write (a full disk)
-    the bag is closed; the data on disk can be recovered. ``metadata.yaml`` exists if and only if
-    the bag is complete.
+    A killed process loses the messages since the last `flush`. ``metadata.yaml`` exists if and only
+    if the bag is complete. After a failed write (a full disk) the bag is closed; the data on disk
+    can be recovered. All methods raise BagError if a write fails or the bag is closed.
 
     Attributes:
         folder: Folder to create; its file has the same name.
         compression: Compression of the chunks: ``none``, ``lz4`` or ``zstd``.
         chunk_size: Size of a chunk before compression [B].
         custom_data: Texts for the bag's metadata; may be changed until `close`.
-        ros_distro: Name of the ROS distribution.
     """
 
     folder: Path
     compression: str = "none"
     chunk_size: int = CHUNK_SIZE
     custom_data: dict[str, str] = field(default_factory=dict)
-    ros_distro: str = field(default_factory=lambda: os.environ.get("ROS_DISTRO") or "jazzy")
 
     def __post_init__(self) -> None:
         """Create folder and file.
@@ -57,8 +54,18 @@ class BagWriter:
         Raises:
             BagError: If the folder exists or cannot be created.
         """
-        self.folder = Path(self.folder)
-        _create(self.folder)
+        try:
+            self.folder.mkdir(parents=True)
+        except FileExistsError:
+            raise BagError(
+                f"The output {self.folder} exists already, expected a new folder; choose another "
+                "name or remove it."
+            ) from None
+        except OSError as error:
+            raise BagError(
+                f"The output {self.folder} cannot be created: {error.strerror}; choose a writable "
+                "folder."
+            ) from None
         self.path = self.folder / f"{self.folder.resolve().name}_0.mcap"
         self.is_open = True
         self.message_count = 0
@@ -85,20 +92,17 @@ class BagWriter:
         type_hash: str = "",
         definition: MessageDefinition | None = None,
     ) -> int:
-        """Announce a topic.
+        """Announce a topic and return its channel number for `write`, counted from 1.
 
         Args:
             topic: Full name.
             type_name: Full name of the type, e.g. ``std_msgs/msg/String``.
             offers: QoS profiles that its publishers offer.
             type_hash: Hash of the type, ``RIHS01_...``.
-            definition: Schema, by default from the installed package.
-
-        Returns:
-            Channel number for `write`, counted from 1.
+            definition: Schema; by default that of the installed package.
 
         Raises:
-            BagError: If the bag is closed or the type's definition is not installed.
+            BagError: If the type's definition is not installed.
         """
         key = type_name, definition or message_definition(type_name)
         if key not in self._schemas:
@@ -112,19 +116,11 @@ class BagWriter:
         return len(self._topics)
 
     def add_metadata(self, name: str, values: Mapping[str, str]) -> None:
-        """Add a metadata record to the MCAP file, which any MCAP reader shows.
-
-        Raises:
-            BagError: If the bag is closed or the disk rejects the data.
-        """
+        """Add a metadata record to the MCAP file, which any MCAP reader shows."""
         self._do(self._writer.add_metadata, name, dict(values))
 
     def write(self, channel: int, data: bytes, log_time: int, publish_time: int) -> None:
-        """Append one CDR message, with times of reception and publication in ns since the epoch.
-
-        Raises:
-            BagError: If the bag is closed or the disk rejects the data.
-        """
+        """Append one CDR message, with times of reception and publication in ns since the epoch."""
         self._do(self._writer.add_message, channel, log_time, data, publish_time)
         self._counts[channel - 1] += 1
         self.message_count += 1
@@ -132,19 +128,11 @@ class BagWriter:
         self._end = max(self._end, log_time)
 
     def flush(self) -> None:
-        """Finish the current chunk, so that its messages survive a crash of the process.
-
-        Raises:
-            BagError: If the bag is closed or the disk rejects the data.
-        """
+        """Finish the current chunk, so that its messages survive a crash of the process."""
         self._do(self._writer.flush)
 
     def close(self) -> BagMetadata:
-        """Write index and metadata, and return the metadata; repeated calls change nothing.
-
-        Raises:
-            BagError: If the disk rejects the data.
-        """
+        """Write index and metadata, and return the metadata; repeated calls change nothing."""
         metadata = self.metadata()
         if self.is_open:
             self.flush()
@@ -167,7 +155,6 @@ class BagWriter:
             duration=self._end - self._start if self.message_count else 0,
             topics=sorted(topics, key=lambda topic: topic.name),
             custom_data=dict(self.custom_data),
-            ros_distro=self.ros_distro,
         )
 
     def _do(self, call: Callable[..., Any], *args: Any) -> Any:
@@ -192,17 +179,3 @@ class BagWriter:
     def __exit__(self, *_: object) -> None:
         """Close the bag, also after an error, so that it stays readable."""
         self.close()
-
-
-def _create(folder: Path) -> None:
-    try:
-        folder.mkdir(parents=True)
-    except FileExistsError:
-        raise BagError(
-            f"The output {folder} exists already, expected a new folder; choose another name or "
-            "remove it."
-        ) from None
-    except OSError as error:
-        raise BagError(
-            f"The output {folder} cannot be created: {error.strerror}; choose a writable folder."
-        ) from None

@@ -50,14 +50,17 @@ def live(options: LiveOptions) -> None:
     changes = [*options.changes]
     if options.pacing != "realtime" and not any(c.startswith("plant.speed") for c in changes):
         changes.append("plant.speed=1")
-    wanted = options.scenario or (None if options.named else _SCENARIO)
-    own = dataclasses.replace(options, scenario=wanted)
+    own = dataclasses.replace(
+        options,
+        scenario=options.scenario or (None if options.named else _SCENARIO),
+        interactive=True,
+        composed=options.composed is not False,
+        changes=changes,
+    )
     turns = any(c.startswith("plant.palm_motion") for c in changes)
     if not turns and not load_scenario(own.wanted).plant.palm_motion:
         # At rest until the page turns it. With a motion there is an IMU that measures it.
         changes.append("plant.palm_motion=[{time: 0, rotation: [0, 0, 0]}]")
-    composed = options.composed is not False
-    own = dataclasses.replace(own, interactive=True, composed=composed, changes=changes)
     companion = functools.partial(cockpit, port=options.port, browser=options.browser)
     raise typer.Exit(start(own, Signals().install(), [], "tactile-hand live", companion))
 

@@ -16,7 +16,6 @@ class CockpitConfig(Config):
     name: str = param("live", "title of the page")
     hand: str = param("paper", "hand by name or YAML file")
     object: ObjectConfig = ObjectConfig()
-    address: str = param("127.0.0.1", "address to listen on; beyond this machine only behind TLS")
     port: int = param(0, "port, 0 for any free one", ge=0, le=65535)
     drivers: bool = param(
         False, "receive joints and touch from the drivers of a real hand, which send no batches"

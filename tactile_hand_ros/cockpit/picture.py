@@ -15,7 +15,7 @@ from tactile_hand_ros.cdr import Layout, Table, tables
 from tactile_hand_ros.control.contact import known_part
 from tactile_hand_ros.control.grasp import required_friction
 from tactile_hand_ros.errors import BagError, MessageError
-from tactile_hand_ros.rotations import rotation_from_quaternion
+from tactile_hand_ros.run.derived import rotation_between
 
 Array = NDArray[np.float64]
 Stamps = NDArray[np.int64]
@@ -25,6 +25,7 @@ KEPT = 2400
 ROWS_PER_BATCH = 4
 """Rows made of a batch: 120 a second, twice the pictures of a screen."""
 
+_WINDOW = 500_000_000  # ns of values that are kept
 _HOLD = 50_000_000  # ns that a value stands for a tick without one; then it is unknown
 _ALIVE = 0.4  # s, twelve batches, without a message after which no row waits for a topic any more
 
@@ -35,21 +36,20 @@ class Track:
     Attributes:
         stamps: Timestamps in ascending order, ns, shape (n,).
         values: Numbers of each message, shape (n, width).
-        new: Number of messages in the last batch.
         received: When the last message came, s of the steady clock.
     """
 
-    def __init__(self, kind: str, groups: Mapping[str, int]) -> None:
+    def __init__(self, kind: str, **groups: int) -> None:
         """Start empty, for a type and the groups of numbers to read, with their widths."""
         self._kind, self._groups, self._width = kind, groups, sum(groups.values())
         self._layout: Layout | None = None
         self._size = 0
         self._fixed, self._same = np.empty(0, np.int64), np.empty(0, np.uint8)
         self.stamps, self.values = np.empty(0, np.int64), np.empty((0, self._width))
-        self.new, self.received = 0, -np.inf
+        self.received = -np.inf
 
-    def take(self, messages: Sequence[bytes]) -> bool:
-        """Append a batch; return whether time has been set back, which forgets what was before.
+    def take(self, messages: Sequence[bytes]) -> None:
+        """Append a batch; what was before time was set back is forgotten.
 
         Raises:
             MessageError: If a message is of another type or lacks a number.
@@ -60,8 +60,7 @@ class Track:
         start = int(back[-1]) + 1 if len(back) else 0
         self.stamps = joined[start:]
         self.values = np.vstack([self.values, values])[start:]
-        self.new, self.received = min(len(stamps), len(self.stamps)), time.monotonic()
-        return bool(len(back))
+        self.received = time.monotonic()
 
     def _read(self, messages: Sequence[bytes]) -> tuple[Stamps, Array]:
         """Return stamps, ns, shape (n,), and numbers, shape (n, width), oldest first."""
@@ -92,99 +91,72 @@ class Track:
         return found
 
     def forget(self, stamp: int) -> None:
-        """Forget what came before a stamp, ns, and what was new."""
+        """Forget what came before a stamp, ns."""
         start = int(self.stamps.searchsorted(stamp))
-        self.stamps, self.values, self.new = self.stamps[start:], self.values[start:], 0
+        self.stamps, self.values = self.stamps[start:], self.values[start:]
 
     def at(self, stamps: Stamps) -> Array:
         """Return the values at some stamps, shape (n, width); NaN where there is none."""
-        rows = self.stamps.searchsorted(stamps, side="right") - 1
         if not len(self.stamps):
-            return np.full((len(stamps), self.values.shape[1]), np.nan)
+            return np.full((len(stamps), self._width), np.nan)
+        rows = self.stamps.searchsorted(stamps, side="right") - 1
         known = (rows >= 0) & (stamps - self.stamps[rows.clip(0)] <= _HOLD)
         return np.where(known[:, None], self.values[rows.clip(0)], np.nan)
 
 
-def tracks_of(fingers: Sequence[str], joints: int) -> dict[str, Track]:
-    """Return empty tracks of the tick topics of a hand with `joints` joints, by name."""
-    k, joint, pose = len(fingers), "sensor_msgs/msg/JointState", "geometry_msgs/msg/PoseStamped"
-    found = {
-        names.JOINT_STATES: Track(
-            joint, {"position": joints, "velocity": joints, "effort": joints}
-        ),
-        names.CONTACTS: Track("geometry_msgs/msg/PoseArray", {"poses": 7 * k}),
-        names.GRIP_STATE: Track(joint, {"position": k, "effort": k}),
-        names.TRUE_SLIP: Track(joint, {"velocity": k}),
-        names.AUXILIARY_POSE: Track(pose, {"pose": 7}),
-        names.OBJECT_POSE: Track(pose, {"pose": 7}),
-        names.IMU: Track("sensor_msgs/msg/Imu", {"orientation": 4}),
-    }
-    each = [topic(name) for name in fingers for topic in (names.wrench, names.optimal_force)]
-    wrenches = [names.GRASP_FORCE, *each]
-    return found | {
-        topic: Track("geometry_msgs/msg/WrenchStamped", {"wrench": 3}) for topic in wrenches
-    }
-
-
 class Picture:
-    """The newest rows of a hand, safe to read from another thread.
+    """The newest rows of a hand since time was last set back, safe to read from another thread.
 
     Attributes:
         columns: Name and width of each column, in the order of a row.
+        tracks: The newest values of each tick topic by name.
         desired: The target, position and quaternion, shape (7,); NaN if it is unknown.
-        push: The last push, force and torque, shape (6,), N and N m.
-        epoch: How often time was set back.
-        total: Rows made since the last time that happened.
+        push: The last push, force and torque, shape (6,), N and N m; it ends at `push_end`, ns.
+        epoch: Number of the picture, -1 if the joints are unknown and nothing is shown.
+        total: Rows made.
         shown: The newest tick with a row, ns; -1 before the first.
     """
 
-    def __init__(self, fingers: Sequence[str], joint_names: Sequence[str]) -> None:
+    def __init__(self, fingers: Sequence[str], joint_names: Sequence[str], epoch: int) -> None:
         """Start empty."""
-        self.fingers, self.joint_names = tuple(fingers), tuple(joint_names)
+        self.fingers, self.joint_names, self.epoch = tuple(fingers), tuple(joint_names), epoch
+        self.total, self.desired, self.push = 0, np.full(7, np.nan), np.zeros(6)
+        self.push_end, self.shown = 0, -1
         k, m = len(fingers), len(joint_names)
-        self.columns = {
-            **{"theta": m, "rates": m, "contact_positions": 3 * k, "contact_quaternions": 4 * k},
-            **{"auxiliary_position": 3, "auxiliary_quaternion": 4},
-            **{"desired_position": 3, "desired_quaternion": 4},
-            **{"object_position": 3, "object_quaternion": 4},
-            **{"position_error": 1, "rotation_error": 1, "force": 3 * k, "expected": k},
-            **{"beta": k, "friction": k, "grip": k, "grasp_force": 1, "push": 6, "palm": 4},
+        joint, pose = "sensor_msgs/msg/JointState", "geometry_msgs/msg/PoseStamped"
+        self.tracks = {
+            names.JOINT_STATES: Track(joint, position=m, velocity=m, effort=m),
+            names.CONTACTS: Track("geometry_msgs/msg/PoseArray", poses=7 * k),
+            names.GRIP_STATE: Track(joint, position=k, effort=k),
+            names.TRUE_SLIP: Track(joint, velocity=k),
+            names.AUXILIARY_POSE: Track(pose, pose=7),
+            names.OBJECT_POSE: Track(pose, pose=7),
+            names.IMU: Track("sensor_msgs/msg/Imu", orientation=4),
         }
+        each = [topic(name) for name in fingers for topic in (names.wrench, names.optimal_force)]
+        for topic in (names.GRASP_FORCE, *each):
+            self.tracks[topic] = Track("geometry_msgs/msg/WrenchStamped", wrench=3)
+        shapes = self._made(np.empty(0, np.int64))
+        self.columns = {name: values.shape[1] for name, values in shapes.items()}
         self._lock = threading.Lock()
         self._times = np.empty(KEPT)
         self._rows = np.empty((KEPT, sum(self.columns.values())), np.float32)
-        self.epoch = 0
-        self._forget()
-
-    def _forget(self) -> None:
-        self.total, self.desired, self.push = 0, np.full(7, np.nan), np.zeros(6)
-        self.push_end, self.shown = 0, -1
-        self.tracks = tracks_of(self.fingers, len(self.joint_names))
-
-    def take(self, batch: Mapping[str, Sequence[bytes]]) -> Iterator[MessageError]:
-        """Read the messages of a batch by topic, and yield an error for a bad topic."""
-        for track in self.tracks.values():
-            track.forget(self.shown - _HOLD)
-        for topic, messages in batch.items():
-            if not messages or topic not in self.tracks:
-                continue
-            try:
-                is_set_back = self.tracks[topic].take(messages)
-            except MessageError as error:
-                yield MessageError(f"{topic}: {error}")
-                continue
-            if is_set_back and topic == names.JOINT_STATES:
-                track = self.tracks[topic]
-                with self._lock:
-                    self.epoch += 1
-                    self._forget()
-                    self.tracks[topic] = track
 
     @property
     def stamp(self) -> int:
         """The newest tick, ns; 0 before the first."""
         stamps = self.tracks[names.JOINT_STATES].stamps
         return int(stamps[-1]) if len(stamps) else 0
+
+    def take(self, batch: Mapping[str, Sequence[bytes]]) -> Iterator[MessageError]:
+        """Read the messages of a batch by topic, and yield an error for a bad topic."""
+        for topic, track in self.tracks.items():
+            track.forget(self.shown - _WINDOW)
+            try:
+                if messages := batch.get(topic):
+                    track.take(messages)
+            except MessageError as error:
+                yield MessageError(f"{topic}: {error}")
 
     def advance(self) -> bool:
         """Make rows of the ticks of which everything has come that still comes.
@@ -204,40 +176,47 @@ class Picture:
             return False
         chosen = np.linspace(0, len(ticks), min(len(ticks), ROWS_PER_BATCH) + 1).astype(int)[1:]
         stamps = ticks[chosen - 1]
-        made, self.shown = self._made(stamps), int(stamps[-1])
+        rows, self.shown = np.hstack([*self._made(stamps).values()]), int(stamps[-1])
         with self._lock:
             places = (self.total + np.arange(len(stamps))) % KEPT
-            self._times[places], self._rows[places] = 1e-9 * stamps, made
+            self._times[places], self._rows[places] = 1e-9 * stamps, rows
             self.total += len(stamps)
         return True
 
-    def _made(self, stamps: Stamps) -> Array:
+    def _made(self, stamps: Stamps) -> dict[str, Array]:
+        """Return the columns at some ticks, each of shape (n, width)."""
         at = {topic: track.at(stamps) for topic, track in self.tracks.items()}
-        k, n = len(self.fingers), len(stamps)
-        contacts = at[names.CONTACTS].reshape(n, k, 7)
+        k, m, n = len(self.fingers), len(self.joint_names), len(stamps)
+        states, pose, body = at[names.JOINT_STATES], at[names.AUXILIARY_POSE], at[names.OBJECT_POSE]
+        contacts, grip = at[names.CONTACTS].reshape(n, k, 7), at[names.GRIP_STATE]
         forces = np.stack([at[names.wrench(name)] for name in self.fingers], axis=1)
-        wanted = [at[names.optimal_force(name)][:, 1] for name in self.fingers]
-        grasp_force = at[names.GRASP_FORCE][:, 1]
+        wanted = np.stack([at[names.optimal_force(name)][:, 1] for name in self.fingers], axis=1)
+        grasp_force = at[names.GRASP_FORCE][:, 1:2]
         touching = np.isfinite(contacts[:, :, 0]) & np.isfinite(forces).all(axis=2)
-        desired, pose = np.tile(self.desired, (n, 1)), at[names.AUXILIARY_POSE]
-        pushes = np.where(stamps < self.push_end, 1.0, 0.0)[:, None] * self.push
-        return np.hstack([
-            at[names.JOINT_STATES][:, : 2 * len(self.joint_names)],
-            contacts[:, :, :3].reshape(n, -1),
-            contacts[:, :, 3:].reshape(n, -1),
-            pose,
-            desired,
-            at[names.OBJECT_POSE],
-            np.linalg.norm(desired[:, :3] - pose[:, :3], axis=1, keepdims=True),
-            _rotation_errors(desired[:, 3:], pose[:, 3:])[:, None],
-            known_part(forces).reshape(n, -1),
-            grasp_force[:, None] * np.stack(wanted, axis=1),
-            np.where(touching, required_friction(forces), np.nan),
-            at[names.GRIP_STATE],
-            grasp_force[:, None],
-            pushes,
-            at[names.IMU],
-        ])  # fmt: skip
+        desired = np.tile(self.desired, (n, 1))
+        turned = rotation_between(desired[:, 3:], pose[:, 3:])
+        return {
+            "theta": states[:, :m],
+            "rates": states[:, m : 2 * m],
+            "contact_positions": contacts[:, :, :3].reshape(n, 3 * k),
+            "contact_quaternions": contacts[:, :, 3:].reshape(n, 4 * k),
+            "auxiliary_position": pose[:, :3],
+            "auxiliary_quaternion": pose[:, 3:],
+            "desired_position": desired[:, :3],
+            "desired_quaternion": desired[:, 3:],
+            "object_position": body[:, :3],
+            "object_quaternion": body[:, 3:],
+            "position_error": np.linalg.norm(desired[:, :3] - pose[:, :3], axis=1, keepdims=True),
+            "rotation_error": np.linalg.norm(turned, axis=1, keepdims=True),
+            "force": known_part(forces).reshape(n, 3 * k),
+            "expected": grasp_force * wanted,
+            "beta": np.where(touching, required_friction(forces), np.nan),
+            "friction": grip[:, :k],
+            "grip": grip[:, k:],
+            "grasp_force": grasp_force,
+            "push": np.where(stamps < self.push_end, 1.0, 0.0)[:, None] * self.push,
+            "palm": at[names.IMU],
+        }
 
     def since(self, total: int) -> tuple[int, Array, NDArray[np.float32]]:
         """Return the rows made after the first `total` of this epoch, as far as they are kept.
@@ -248,10 +227,3 @@ class Picture:
         with self._lock:
             places = np.arange(max(total, self.total - KEPT), self.total) % KEPT
             return self.total, self._times[places], self._rows[places]
-
-
-def _rotation_errors(desired: Array, actual: Array) -> Array:
-    """Return |r_d|, twice the sine of the angle between quaternions, shape (n,)."""
-    turn = rotation_from_quaternion(desired) @ np.swapaxes(rotation_from_quaternion(actual), 1, 2)
-    parts = [turn[:, i, j] - turn[:, j, i] for i, j in ((2, 1), (0, 2), (1, 0))]
-    return np.asarray(np.linalg.norm(parts, axis=0))

@@ -45,20 +45,21 @@ def cockpit(
     command = started_by(COCKPIT, ["setpriv", "--pdeathsig", "KILL", "--"])
     process = NodeProcess(COCKPIT, [*command, *words], directory.log(COCKPIT))
 
-    def links() -> list[str]:
-        return [line.removeprefix(LINK) for line in process.tail() if line.startswith(LINK)]
+    def link() -> str:
+        """Return the link that the cockpit has printed, empty before."""
+        lines = (line for line in process.tail() if line.startswith(LINK))
+        return next(lines, "").removeprefix(LINK)
 
     def announce() -> None:
         with contextlib.suppress(TimeoutError):
-            wait_until(lambda: links() or process.returncode is not None, _PATIENCE)
-        found = links()
-        if not found:
+            wait_until(lambda: link() or process.returncode is not None, _PATIENCE)
+        if found := link():
+            console.print(f"cockpit: {found}", soft_wrap=True)
+            if browser:
+                open_in_browser(found)
+        else:
             reason = (process.tail() or [f"see {process.log}"])[-1]
             console.print(f"the cockpit did not start: {reason}", soft_wrap=True)
-            return
-        console.print(f"cockpit: {found[0]}", soft_wrap=True)
-        if browser:
-            open_in_browser(found[0])
 
     threading.Thread(target=announce, daemon=True).start()
     try:

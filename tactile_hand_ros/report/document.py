@@ -26,27 +26,21 @@ MAX_BYTES = 2_900_000
 """Maximum size of a page's arrays before base64, so that the page stays below 5 MB."""
 MAX_EVENTS = 400
 
-_CODES = {"time": "f8", "grip": "u1"}  # 24 bits are too few for the time of a long run
-_BYTES = {"f8": 8, "f4": 4, "u1": 1}
-
 
 def run_document(run: RunData, *, room: int = MAX_BYTES) -> dict[str, Any]:
     """Return the content of the page as plain data for JSON.
 
     All ticks are shown if they fit into `room` bytes before base64; see `shown` for longer runs.
-
-    Raises:
-        BagError: If the bag is damaged or has no tick.
     """
     record = run.record
     (hand, unknown), (solid, missing) = model.hand(run), model.solid(run)
     plots = plot_columns(run)
     columns = plots | scene_columns(record)
-    per_tick = sum(_BYTES[_code(name)] * each[:1].size for name, each in columns.items())
+    per_tick = sum(4 * each[:1].size for each in columns.values())
     rows = _rows(run, room // per_tick)
     around = [pair for pair in gaps(record) if pair[0]]
     rows = np.union1d(rows, [row for pair in around for row in pair]).astype(np.int64)
-    broken, breaking = [first for first, _ in around], {*plots} - {"time", "grip"}
+    broken, breaking = [first for first, _ in around], {*plots} - {"time"}
     return {
         "name": run.name,
         "gaps": [[float(record.times[row]) for row in pair] for pair in around],
@@ -59,7 +53,11 @@ def run_document(run: RunData, *, room: int = MAX_BYTES) -> dict[str, Any]:
         "fingers": model.fingers(record.finger_names),
         "joints": model.joints(record.joint_names, record.finger_names, hand),
         "columns": {
-            name: pack(_shown(values, rows, broken if name in breaking else []), _code(name))
+            # 24 bits are too few for the time of a long run.
+            name: pack(
+                _shown(values, rows, broken if name in breaking else []),
+                "f8" if name == "time" else "f4",
+            )
             for name, values in columns.items()
         },
         "events": [asdict(event) for event in run.events[:MAX_EVENTS]],
@@ -71,10 +69,6 @@ def run_document(run: RunData, *, room: int = MAX_BYTES) -> dict[str, Any]:
         "scenario": run.scenario_text,
         "notes": [*facts.notes(run), *filter(None, (unknown, missing))],
     }
-
-
-def _code(name: str) -> str:
-    return _CODES.get(name, "f4")
 
 
 def _shown(values: Array, rows: Rows, broken: Sequence[int]) -> Array:
@@ -124,19 +118,14 @@ def scene_columns(record: Record) -> dict[str, Array]:
 def _rows(run: RunData, limit: int) -> Rows:
     record = run.record
     at_events = np.searchsorted(record.times, [event.time for event in run.events[:MAX_EVENTS]])
-    signals = [
-        _highest(np.abs(record.rates)),
-        _highest(derived.contact_forces(record)[:, :, 1]),
-        _highest(derived.required_friction(record)),
-        record.grasp_force,
-        run.latencies,
-    ]
+    of_parts = (
+        np.abs(record.rates),
+        derived.contact_forces(record)[:, :, 1],
+        derived.required_friction(record),
+    )
+    highest = [each.max(axis=1, initial=-np.inf) for each in of_parts]  # a bag may lack a finger
+    signals = [*highest, record.grasp_force, run.latencies]
     return shown(len(record), limit, signals, at_events.clip(0, len(record) - 1))
-
-
-def _highest(values: Array) -> Array:
-    """Return the largest value of each row; a bag may lack a finger."""
-    return np.asarray(values.max(axis=1, initial=-np.inf))
 
 
 def _date(run: RunData) -> str:
@@ -148,16 +137,11 @@ def _date(run: RunData) -> str:
 
 
 def shown(count: int, limit: int, signals: Sequence[Array], always: Rows) -> Rows:
-    """Choose the ticks to show, in ascending order; all of them up to `limit`.
+    """Choose the ticks to show of `count`, in ascending order; all of them up to `limit`.
 
-    Beyond that, keep evenly spaced ticks, and for each of many equal pieces the ticks at which a
-    signal is largest and smallest, so that every peak stays visible.
-
-    Args:
-        count: Number of ticks.
-        limit: Approximate maximum number of ticks.
-        signals: Signals whose peaks matter, each of shape (count,).
-        always: Ticks that are always shown, such as those of events.
+    Beyond that, keep about `limit`: those in `always`, evenly spaced ones, and for each of many
+    equal pieces the ticks at which a signal, of shape (count,), is largest and smallest, so that
+    every peak stays visible.
     """
     if count <= limit:
         return np.arange(count)
@@ -171,17 +155,11 @@ def shown(count: int, limit: int, signals: Sequence[Array], always: Rows) -> Row
     return np.unique(np.concatenate([even, always, peaks]).astype(np.int64))
 
 
-def pack(array: NDArray[Any], code: str = "f4") -> dict[str, Any]:
-    """Return an array of any shape as plain data for JSON.
-
-    `code` is ``f4``, ``f8``, or ``u1`` for integers up to 254, for which NaN becomes 255.
-    """
-    values = np.asarray(array)
-    if code == "u1":
-        values = np.where(np.isnan(values), 255, values)
-    data = np.ascontiguousarray(values, dtype="<" + code).tobytes()
+def pack(array: NDArray[Any], code: str) -> dict[str, Any]:
+    """Return an array of any shape as plain data for JSON; `code` is ``f4`` or ``f8``."""
+    data = np.ascontiguousarray(array, dtype="<" + code).tobytes()
     return {
         "type": code,
-        "shape": list(values.shape),
+        "shape": list(array.shape),
         "data": base64.b64encode(data).decode("ascii"),
     }

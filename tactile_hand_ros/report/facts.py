@@ -40,7 +40,11 @@ def tiles(run: RunData) -> list[dict[str, Any]]:
     ]
     if bag is not None:
         speed = _tile("speed", bag.ticks_per_second, "ticks/s", f"{len(run.record)} ticks")
-        found += [speed, _recorded(bag.messages, run.lost_messages)]
+        value, unit, note = str(bag.messages), "", "messages"
+        if run.lost_messages is not None:
+            value, unit = str(run.lost_messages), "lost"
+            note = f"of {counted(bag.messages, 'message')}"
+        found += [speed, {"label": "recorded", "value": value, "unit": unit, "note": note}]
     return found
 
 
@@ -67,13 +71,6 @@ def _limited(
         return {**tile, "note": note or "at the end"}
     note = ", ".join(filter(None, [f"goal {1e3 * limit:g} m{unit}", note]))
     return {**tile, "note": note, "passed": value <= limit}
-
-
-def _recorded(messages: int, lost: int | None) -> dict[str, Any]:
-    if lost is None:
-        return {"label": "recorded", "value": str(messages), "unit": "", "note": "messages"}
-    note = f"of {counted(messages, 'message')}"
-    return {"label": "recorded", "value": str(lost), "unit": "lost", "note": note}
 
 
 def _tile(label: str, value: float, unit: str, note: str) -> dict[str, Any]:

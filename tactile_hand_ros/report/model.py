@@ -6,35 +6,31 @@ from __future__ import annotations
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Mapping, Sequence
 from typing import Any
+from xml.etree.ElementTree import Element
 
-import numpy as np
+import pinocchio as pin
 
 from tactile_hand_ros.config.hand_config import load_hand_config
 from tactile_hand_ros.errors import HandModelError, TactileHandError
+from tactile_hand_ros.hand.extract import three_numbers
 from tactile_hand_ros.hand.hand import Hand
 from tactile_hand_ros.report import style
-from tactile_hand_ros.rotations import quaternion_from_rotation, rotation_from_vector
+from tactile_hand_ros.rotations import quaternion_from_rotation
 from tactile_hand_ros.run.result import RunData
 from tactile_hand_ros.simulation.solid import Solid
 
 
 def hand(run: RunData) -> tuple[dict[str, Any] | None, str]:
     """Return the output of `hand_tree`, or None and a sentence if the hand is unknown."""
+    text = run.description  # the scenario may name another hand than the recorded one
     try:
-        text = _description(run)
-        tree = hand_tree(text, run.record.joint_names, _tips(run)) if text else None
+        if not text and run.scenario is not None:
+            text = Hand.load(run.scenario.hand, run.scenario.layout).description
+        if text:
+            return hand_tree(text, run.record.joint_names, _tips(run)), ""
     except TactileHandError as error:
         return None, f"The hand cannot be drawn: {error}."
-    if tree is None:
-        return None, "The bag has neither the hand's URDF nor its scenario; links are not drawn."
-    return tree, ""
-
-
-def _description(run: RunData) -> str:
-    """Return the URDF, preferably the recorded one, otherwise that of the scenario."""
-    if run.description or run.scenario is None:
-        return run.description
-    return Hand.load(run.scenario.hand, run.scenario.layout).description
+    return None, "The bag has neither the hand's URDF nor its scenario; links are not drawn."
 
 
 def _tips(run: RunData) -> dict[str, tuple[str, float]]:
@@ -92,13 +88,12 @@ def joints(
 def _owners(finger_names: Sequence[str], hand: dict[str, Any] | None) -> dict[int, int]:
     """Return the finger of each joint, by walking from the tips to the palm."""
     found: dict[int, int] = {}
-    for tip in hand["tips"] if hand else []:
+    links, tips = (hand["links"], hand["tips"]) if hand else ([], [])
+    for tip in tips:
         link = tip["link"]
         while tip["finger"] in finger_names and link >= 0:
-            column = hand["links"][link].get("joint", -1) if hand else -1
-            found[column] = finger_names.index(tip["finger"])
-            link = hand["links"][link]["parent"] if hand else -1
-    found.pop(-1, None)
+            found[links[link].get("joint", -1)] = finger_names.index(tip["finger"])
+            link = links[link]["parent"]
     return found
 
 
@@ -108,12 +103,10 @@ _MOVING = {"revolute": "turn", "continuous": "turn", "prismatic": "slide"}
 def hand_tree(
     description: str, joint_names: Sequence[str], tips: Mapping[str, tuple[str, float]]
 ) -> dict[str, Any]:
-    """Return the hand as plain data.
+    """Return the hand of a URDF as plain data.
 
-    Args:
-        description: URDF text.
-        joint_names: Names of the joints in the order of the record.
-        tips: Finger and radius in m by tip link; links that the URDF lacks are skipped.
+    `joint_names` are in the order of the record; `tips` are finger and radius in m by tip link, of
+    which those that the URDF lacks are skipped.
 
     Returns:
         ``links``, parents first, each with ``parent`` (index, -1 for the root), ``xyz`` in m and
@@ -138,20 +131,17 @@ def hand_tree(
     return {"links": links, "tips": ends}
 
 
-def _links(root: ElementTree.Element, joint_names: list[str]) -> list[dict[str, Any]]:
-    joints: dict[str, list[ElementTree.Element]] = {}
+def _links(root: Element, joint_names: list[str]) -> list[dict[str, Any]]:
+    joints: dict[str, list[Element]] = {}
     for joint in root.findall("joint"):
         joints.setdefault(_end(joint, "parent"), []).append(joint)
     children = {_end(joint, "child") for each in joints.values() for joint in each}
     names = [str(link.get("name")) for link in root.findall("link")]
-    links = [_link(name, -1, None, joint_names) for name in names if name not in children]
-    placed = {link["name"] for link in links}
+    still = {"parent": -1, "xyz": [0.0] * 3, "quaternion": [0.0, 0.0, 0.0, 1.0]}
+    links: list[dict[str, Any]] = [{"name": n, **still} for n in names if n not in children]
     for number, link in enumerate(links):  # grows during the loop, parents first
-        for joint in joints.get(link["name"], []):
-            child = _end(joint, "child")
-            if child not in placed:  # each link once, even if the URDF is not a tree
-                placed.add(child)
-                links.append(_link(child, number, joint, joint_names))
+        for joint in joints.pop(link["name"], []):  # once, even if the URDF is not a tree
+            links.append(_moved_link(joint, joint_names) | {"parent": number})
     return links
 
 
@@ -159,29 +149,16 @@ def _end(joint: Any, tag: str) -> str:
     return str(joint.find(tag).get("link"))
 
 
-def _link(
-    name: str, parent: int, joint: ElementTree.Element | None, joint_names: list[str]
-) -> dict[str, Any]:
-    link: dict[str, Any] = {"name": name, "parent": parent}
-    if joint is None:
-        return link | {"xyz": [0.0] * 3, "quaternion": [0.0, 0.0, 0.0, 1.0]}
-    origin, axis = joint.find("origin"), joint.find("axis")
-    link["xyz"] = _numbers(origin, "xyz", "0 0 0")
-    link["quaternion"] = _quaternion(_numbers(origin, "rpy", "0 0 0"))
+def _moved_link(joint: Element, joint_names: list[str]) -> dict[str, Any]:
+    origin, name = joint.find("origin"), str(joint.get("name"))
+    turn = pin.rpy.rpyToMatrix(three_numbers(origin, "rpy"))
+    link = {
+        "name": _end(joint, "child"),
+        "xyz": three_numbers(origin, "xyz").tolist(),
+        "quaternion": quaternion_from_rotation(turn).tolist(),
+    }
     if motion := _MOVING.get(str(joint.get("type"))):
-        known = str(joint.get("name"))
         link["motion"] = motion
-        link["axis"] = _numbers(axis, "xyz", "1 0 0")
-        link["joint"] = joint_names.index(known) if known in joint_names else -1
+        link["axis"] = three_numbers(joint.find("axis"), "xyz", "1 0 0").tolist()
+        link["joint"] = joint_names.index(name) if name in joint_names else -1
     return link
-
-
-def _numbers(element: ElementTree.Element | None, name: str, default: str) -> list[float]:
-    text = default if element is None else element.get(name, default)
-    x, y, z = map(float, text.split())
-    return [x, y, z]
-
-
-def _quaternion(rpy: list[float]) -> list[float]:
-    roll, pitch, yaw = (rotation_from_vector(a * e) for a, e in zip(rpy, np.eye(3), strict=True))
-    return [float(q) for q in quaternion_from_rotation(yaw @ pitch @ roll)]

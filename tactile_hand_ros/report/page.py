@@ -34,9 +34,7 @@ _PLACE = re.compile(r"@@(\w+)@@")
 def write_report(run: RunData, folder: Path | None = None) -> Path:
     """Write ``report.html`` of a run and return the file; each reset starts a new section.
 
-    Args:
-        run: The run.
-        folder: Output folder; by default the run's folder, or next to a bare bag.
+    By default, `folder` is the run's folder, or that of a bare bag.
 
     Raises:
         BagError: If the bag is damaged or has no tick.
@@ -45,16 +43,19 @@ def write_report(run: RunData, folder: Path | None = None) -> Path:
     sections = [*run.earlier[-MOST_EARLIER:], run]
     room = MAX_BYTES // len(sections)
     documents = [run_document(section, room=room) for section in sections]
-    return _write(page(documents), (folder or run.folder) / REPORT)
-
-
-def page(documents: list[dict[str, Any]]) -> str:
-    """Return a self-contained HTML page of the documents of `run_document`, one per section."""
-    return _filled(str(documents[-1]["name"]), {"runs": documents}, "'none'")
+    file = (folder or run.folder) / REPORT
+    try:
+        file.parent.mkdir(parents=True, exist_ok=True)
+        replace_text(file, _filled(run.name, {"runs": documents}, "'none'"))
+    except OSError as error:
+        raise TactileHandError(
+            f"The report {file} cannot be written ({error.strerror}); choose another place."
+        ) from None
+    return file
 
 
 def live_page(name: str) -> str:
-    """Return the same page for a running hand: it connects to the WebSocket ``socket``."""
+    """Return the page for a running hand: it connects to the WebSocket ``socket``."""
     return _filled(name, {"live": name}, "'self'")
 
 
@@ -91,36 +92,16 @@ def _json(document: dict[str, Any]) -> str:
     return text.replace("<", "\\u003c").replace("\u2028", "\\u2028").replace("\u2029", "\\u2029")
 
 
-def _write(text: str, file: Path) -> Path:
-    """Write a file atomically; raise TactileHandError if that fails."""
-    try:
-        file.parent.mkdir(parents=True, exist_ok=True)
-        replace_text(file, text)
-    except OSError as error:
-        raise TactileHandError(
-            f"The report {file} cannot be written ({error.strerror}); choose another place."
-        ) from None
-    return file
-
-
 class Result(RunData):
     """A run: `record`, `metrics`, `events`, `assumptions`, `to_pandas()`, `plot()`, `report()`."""
 
     def plot(self) -> Figure:
-        """Return the paper's Fig. 3 of this run: rates, position, orientation error, forces.
-
-        Raises:
-            MissingLibraryError: If matplotlib is not installed.
-        """
+        """Return the paper's Fig. 3 of this run: rates, position, orientation error, forces."""
         return motion_figure(self.record)
 
     def report(self, folder: Path | str | None = None) -> Path:
-        """Write ``report.html`` and return the file.
+        """Write ``report.html`` and return the file; see `write_report`.
 
-        Args:
-            folder: Output folder; by default the run's folder, or the current one without a bag.
-
-        Raises:
-            TactileHandError: If the file cannot be written.
+        By default, `folder` is the run's folder, or the current one without a bag.
         """
         return write_report(self, None if folder is None else Path(folder))

@@ -69,13 +69,7 @@ def grasp_figure(record: Record, scenario: Scenario) -> Figure:
 
 
 def hand_figure(hand: Hand, theta: Array, body: ObjectConfig | None = None) -> Figure:
-    """Draw a hand alone, or with an object.
-
-    Args:
-        hand: The hand.
-        theta: Joint angles, shape (m,), rad.
-        body: The object at its initial pose.
-    """
+    """Draw a hand at joint angles of shape (m,), rad, alone or with an object at its first pose."""
     chains = [np.array(chain) for chain in hand.joint_positions(theta)]
     points = np.vstack([np.zeros((1, 3)), *chains])
     with look():

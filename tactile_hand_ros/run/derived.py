@@ -82,9 +82,12 @@ def rotation_error(record: Record) -> Array:
     Source: Shaw-Cortez et al., below equation (8).
     """
     desired = _or_start(record.desired_quaternion, record.auxiliary_quaternion)
-    turn = rotation_from_quaternion(desired) @ np.swapaxes(
-        rotation_from_quaternion(record.auxiliary_quaternion), 1, 2
-    )
+    return rotation_between(desired, record.auxiliary_quaternion)
+
+
+def rotation_between(desired: Array, actual: Array) -> Array:
+    """Return r_d, as in `rotation_error`, between quaternions of shape (n, 4)."""
+    turn = rotation_from_quaternion(desired) @ np.swapaxes(rotation_from_quaternion(actual), 1, 2)
     skew = turn - np.swapaxes(turn, 1, 2)
     return np.asarray(skew[:, (2, 0, 1), (1, 2, 0)])
 

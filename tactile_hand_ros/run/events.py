@@ -121,12 +121,12 @@ def read_pushes(messages: TopicMessages) -> list[Event]:
 
 def slip_count(record: Record) -> int:
     """Return how often a contact truly started to slide."""
-    return sum(len(_starts(record, column > SLIDING)) for column in record.true_sliding.T)
+    return sum(len(starts(record.times, column > SLIDING)) for column in record.true_sliding.T)
 
 
 def alarm_count(record: Record) -> int:
     """Return how often the hand detected that a contact slips."""
-    return sum(len(_starts(record, column == ContactState.SLIP)) for column in record.grip.T)
+    return sum(len(starts(record.times, column == ContactState.SLIP)) for column in record.grip.T)
 
 
 def _commands(record: Record) -> list[Event]:
@@ -170,7 +170,7 @@ def _of_fingers(record: Record) -> list[Event]:
         away = spans(_held_through(missing[:, i], unknown))
         lost = [first for first, _ in away if first]
         made = [after for _, after in away if after < len(record)]
-        slips, alarms = _starts(record, sliding), _starts(record, alarm)
+        slips, alarms = starts(record.times, sliding), starts(record.times, alarm)
         found += _at(record, slips, "slip", finger, f"{name} starts to slide")
         found += _at(record, alarms, "detection", finger, f"slip of {name} is detected")
         found += _at(record, lost, "contact_lost", finger, f"{name} loses contact")
@@ -184,20 +184,23 @@ def _held_through(flags: Flags, unknown: Flags) -> Flags:
     return np.asarray(flags[rows] & ~(unknown & (rows == 0)))
 
 
-def _starts(record: Record, flags: Flags) -> list[int]:
-    """Return the rows at which flags become set after a pause; the first row does not count."""
+def starts(times: NDArray[np.floating[Any]], flags: Flags) -> list[int]:
+    """Return the rows at which flags become set after a pause; the first row does not count.
+
+    `times` [s] and `flags` have shape (n,).
+    """
     found, ended = [], -math.inf
     for first, after in spans(flags):
-        if first and record.times[first] - ended > PAUSE:
+        if first and times[first] - ended > PAUSE:
             found.append(first)
-        ended = record.times[min(after, len(record) - 1)]
+        ended = times[min(after, len(times) - 1)]
     return found
 
 
 def _reactions(record: Record) -> list[Event]:
     """Return when the grasp force rose after each alarm that follows an alarm-free state."""
     found: list[Event] = []
-    for row in _starts(record, (record.grip == ContactState.SLIP).any(axis=1)):
+    for row in starts(record.times, (record.grip == ContactState.SLIP).any(axis=1)):
         start = record.grasp_force[row - 1]
         soon = record.times[row:] <= record.times[row] + REACTION
         risen = np.flatnonzero(record.grasp_force[row:][soon] > (1.0 + RISE) * start)

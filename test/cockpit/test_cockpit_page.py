@@ -124,9 +124,6 @@ def let_go(page: Page) -> None:
     actions.perform()
 
 
-CENTER = "scene.solid.group.position"
-
-
 def test_it_shows_the_running_hand(page: Page, hand: tuple[Graph, str]) -> None:
     graph, link = hand
     assert page.js("return report.scene.colours()") > 300
@@ -143,7 +140,7 @@ def test_it_shows_the_running_hand(page: Page, hand: tuple[Graph, str]) -> None:
 def test_a_pull_slips_and_is_caught(page: Page, hand: tuple[Graph, str]) -> None:
     graph, _ = hand
     force = row(page, "grasp_force")[0]
-    x, y = screen(page, CENTER)
+    x, y = screen(page, "scene.solid.group.position")
     drag(page, (x, y), (x - 10, y + 60), (x - 20, y + 110), hold=True)
     page.wait(lambda: np.linalg.norm(row(page, "push")[:3]) > 2.0)
     assert re.fullmatch(r"\d+\.\d N", page.driver.find_element(By.CLASS_NAME, "force").text)
@@ -153,9 +150,8 @@ def test_a_pull_slips_and_is_caught(page: Page, hand: tuple[Graph, str]) -> None
     response = page.js("return report.source.status.response")
     # A later event would belong to another slip. How late these come on a busy machine is measured,
     # not tested. The load alone may have raised k_f to its limit before the slip.
-    assert all(
-        0.0 <= response.get(step, 0.0) <= 1e3 * REACTION for step in ("detection", "reaction")
-    )
+    for step in ("detection", "reaction"):
+        assert 0.0 <= response.get(step, 0.0) <= 1e3 * REACTION
     assert row(page, "grasp_force")[0] > force
     assert page.driver.find_element(By.CSS_SELECTOR, ".response .step b").text != "\u2013"
     page.wait(lambda: np.allclose(row(page, "push"), 0.0))
@@ -292,10 +288,9 @@ def test_parameters_are_forms_and_a_wrong_value_is_refused(page: Page) -> None:
     ("change", "headers"),
     [
         (lambda link: link.split("?")[0], {}),
-        (lambda link: link + "x", {}),
-        (lambda link: link, {"Origin": "http://127.0.0.1:1"}),
+        (lambda link: link.replace("/?", "/report?") + "x", {}),
+        (lambda link: link.replace("/?", "/socket?"), {"Origin": "http://127.0.0.1:1"}),
         (lambda link: link, {"Host": "example.org"}),
-        (lambda link: link.replace("/?", "/socket?"), {}),  # a browser always says its origin
     ],
 )
 def test_strangers_are_refused(

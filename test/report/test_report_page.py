@@ -215,11 +215,10 @@ def test_layers_can_be_hidden(report: Page) -> None:
     assert report.js(PICTURE) != before
 
 
-def test_dark_and_light(page: Page, run: Run, tmp_path: Path) -> None:
-    file = write_report(run, tmp_path)
+def test_dark_and_light(page: Page, written: Path) -> None:
     looks = []
     for dark in (False, True):
-        page.open(file, dark=dark)
+        page.open(written, dark=dark)
         looks.append(page.js("return getComputedStyle(document.body).backgroundColor"))
         assert page.js("return document.documentElement.dataset.theme") == ("light", "dark")[dark]
         assert_quiet(page)
@@ -228,8 +227,8 @@ def test_dark_and_light(page: Page, run: Run, tmp_path: Path) -> None:
     assert page.js("return getComputedStyle(document.body).backgroundColor") == looks[0]
 
 
-def test_nothing_sticks_out_at_any_size(page: Page, run: Run, tmp_path: Path) -> None:
-    page.open(write_report(run, tmp_path), size=(400, 800))
+def test_nothing_sticks_out_at_any_size(page: Page, written: Path) -> None:
+    page.open(written, size=(400, 800))
     for size in ((400, 800), (1280, 800), (1920, 1080), (400, 800)):
         page.resize(size)
         assert page.js("return document.documentElement.scrollWidth") <= size[0]
@@ -244,9 +243,9 @@ def test_a_real_hand_without_truth_and_scenario(page: Page, tmp_path: Path) -> N
     assert_quiet(page)
 
 
-def test_without_webgl_the_plots_are_there(tmp_path: Path, run: Run) -> None:
+def test_without_webgl_the_plots_are_there(tmp_path: Path, written: Path) -> None:
     with browser(tmp_path / "profile", "--disable-3d-apis") as page:
-        page.open(write_report(run, tmp_path))
+        page.open(written)
         assert "no WebGL" in page.driver.find_element(By.CSS_SELECTOR, ".viewport").text
         page.js("report.player.seek(0.25)")
         assert page.js("return report.charts.length") == 6

@@ -27,15 +27,12 @@ def bag(tmp_path: Path) -> Path:
     return folder
 
 
-def test_topics_can_be_chosen(bag):
+def test_topics_can_be_chosen_and_are_summarized(bag):
     assert [m.log_time for m in read_messages(bag, ["/odd"])] == list(range(1, 20, 2))
     assert list(read_messages(bag, [])) == []
     assert list(read_messages(bag, ["/absent"])) == []
     assert len(list(read_messages(bag))) == 20
     assert next(read_messages(bag, {"/even"})).message.data == struct.unpack("<d", FLOAT[4:])[0]
-
-
-def test_summary(bag):
     summary = summarize(bag)
     assert summary.counts == {"/even": 10, "/odd": 10}
     assert summary.types["/odd"] == "std_msgs/msg/Float64"
@@ -57,15 +54,9 @@ def test_messages_of_all_connections_of_a_topic_are_counted_and_read(tmp_path):
     """Two publishers with different QoS offers are two connections in a file."""
     with BagWriter(tmp_path / "run") as writer:
         kinds = (ReliabilityPolicy.RELIABLE, ReliabilityPolicy.BEST_EFFORT)
-        first, second = [
-            writer.add_channel(
-                "/x",
-                "std_msgs/msg/Float64",
-                offers=[offered_qos(QoSProfile(depth=1, reliability=kind))],
-            )
-            for kind in kinds
-        ]
-        for time, channel in enumerate((first, second, first, second, first)):
+        offers = [[offered_qos(QoSProfile(depth=1, reliability=kind))] for kind in kinds]
+        both = [writer.add_channel("/x", "std_msgs/msg/Float64", offers=each) for each in offers]
+        for time, channel in enumerate(2 * both + both[:1]):
             writer.write(channel, FLOAT, time, time)
         writer.write(writer.add_channel("/y", "std_msgs/msg/Float64"), FLOAT, 9, 9)
     file = tmp_path / "run" / "run_0.mcap"
@@ -84,7 +75,7 @@ def test_what_is_no_bag_is_refused_with_a_reason(tmp_path):
             summarize(path)
 
 
-@pytest.mark.parametrize("size", [0, 4, 8, 100, 600, -1, -9, -40])
+@pytest.mark.parametrize("size", [0, 8, 600, -1, -40])
 def test_truncated_file(bag, size):
     path = bag / "run_0.mcap"
     path.write_bytes(path.read_bytes()[:size])
@@ -105,24 +96,24 @@ def test_damaged_chunk_is_found_while_reading(bag):
         read_topics(bag, ["/even"])
 
 
-@pytest.mark.parametrize("data", [b"", b"\0\1\0\0", b"\0\1\0\0" + bytes(3)])
-def test_message_that_is_no_message(tmp_path, data):
+def test_message_that_is_no_message(tmp_path):
+    wrong = [b"", b"\0\1\0\0", b"\0\1\0\0" + bytes(3)]
     with BagWriter(tmp_path / "run") as writer:
-        writer.write(writer.add_channel("/x", "std_msgs/msg/Float64"), data, 1, 1)
-    [found] = read_messages(tmp_path / "run")
-    assert found.data == data
-    with pytest.raises(BagError, match="not a valid std_msgs/msg/Float64"):
-        _ = found.message
+        channel = writer.add_channel("/x", "std_msgs/msg/Float64")
+        for time, data in enumerate(wrong):
+            writer.write(channel, data, time, time)
+    for found, data in zip(read_messages(tmp_path / "run"), wrong, strict=True):
+        assert found.data == data
+        with pytest.raises(BagError, match="not a valid std_msgs/msg/Float64"):
+            _ = found.message
 
 
 @pytest.mark.parametrize(
     ("old", "new"),
     [
         ("message_count: 20", "message_count: x"),
-        ("message_count: 10", "message_count: [1]"),
         ("name: /even", "name: [a]"),
         ("- run_0.mcap", "- ../other.mcap"),
-        ("- run_0.mcap", "- {a: b}"),
         ("custom_data: {}", "custom_data: [a]"),
         ("rosbag2_bagfile_information:", "other:"),
         ("rosbag2_bagfile_information:", f"rosbag2_bagfile_information: {50_000 * '['}"),

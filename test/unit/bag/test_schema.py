@@ -20,25 +20,15 @@ trajectory_msgs/msg/JointTrajectory visualization_msgs/msg/MarkerArray
 """.split()
 
 
-def source(package: str, name: str) -> str:
-    """Return the unchanged text of an installed .msg file."""
-    return (Path(get_package_share_directory(package)) / "msg" / f"{name}.msg").read_text()
-
-
 def test_text_is_the_files_with_separators():
-    expected = (
-        source("geometry_msgs", "WrenchStamped")
-        + f"\n{LINE}MSG: geometry_msgs/Wrench\n"
-        + source("geometry_msgs", "Wrench")
-        + f"\n{LINE}MSG: geometry_msgs/Vector3\n"
-        + source("geometry_msgs", "Vector3")
-        + f"\n{LINE}MSG: std_msgs/Header\n"
-        + source("std_msgs", "Header")
-        + f"\n{LINE}MSG: builtin_interfaces/Time\n"
-        + source("builtin_interfaces", "Time")
-    )
+    names = "geometry_msgs/Wrench geometry_msgs/Vector3 std_msgs/Header builtin_interfaces/Time"
+    texts = []
+    for name in ("geometry_msgs/WrenchStamped", *names.split()):
+        package, kind = name.split("/")
+        file = Path(get_package_share_directory(package)) / "msg" / f"{kind}.msg"
+        texts.append(f"\n{LINE}MSG: {name}\n{file.read_text()}" if texts else file.read_text())
     definition = message_definition("geometry_msgs/msg/WrenchStamped")
-    assert (definition.encoding, definition.text) == ("ros2msg", expected)
+    assert (definition.encoding, definition.text) == ("ros2msg", "".join(texts))
 
 
 @pytest.mark.parametrize("type_name", TYPES)
@@ -64,23 +54,18 @@ def package(root: Path, monkeypatch: pytest.MonkeyPatch, **files: str) -> None:
 
 
 def test_arrays_comments_and_line_ends_are_kept(tmp_path, monkeypatch):
+    kinds = ["bool", "byte", "char", "float32", "float64", "string"]
+    kinds += [f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64)]
     root = "# µ\r\nZ[<=3] z\nstring<=4 s\nA[2]  a # B b\nmy_msgs/M m\nint32 N=1\n"
+    root += "".join(f"{kind} a{i}\n{kind}[] b{i}\n" for i, kind in enumerate(kinds))
     package(tmp_path, monkeypatch, Root_dot_msg=root, Z_dot_msg="bool z\n", A_dot_msg="Z z",
             M_dot_msg="bool m\n")  # fmt: skip
     expected = (
         f"{root}\n{LINE}MSG: my_msgs/A\nZ z\n{LINE}MSG: my_msgs/Z\nbool z\n"
         f"\n{LINE}MSG: my_msgs/M\nbool m\n"
     )
-    assert message_definition("my_msgs/msg/Root").text == expected
-
-
-def test_what_every_message_may_hold_is_no_type_of_its_own(tmp_path, monkeypatch):
-    kinds = ["bool", "byte", "char", "float32", "float64", "string"]
-    kinds += [f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64)]
-    root = "".join(f"{kind} a{i}\n{kind}[] b{i}\n" for i, kind in enumerate(kinds))
-    package(tmp_path, monkeypatch, Root_dot_msg=root)
-    assert message_definition("my_msgs/msg/Root").text == root
-    assert message_definition("my_msgs/Root").text == root
+    for name in ("my_msgs/msg/Root", "my_msgs/Root"):
+        assert message_definition(name).text == expected
 
 
 @pytest.mark.parametrize("name", ["no_such_msgs/msg/A", "std_msgs/msg/NoSuchType", "nonsense", ""])

@@ -1,69 +1,47 @@
 # SPDX-License-Identifier: Apache-2.0
 """Rows of a picture and events, from batches of messages with known numbers."""
 
-from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import pytest
+from support.messages import joint_message, serialized
+from support.recorded import random_record, write_tick
 
 from tactile_hand_ros import names
+from tactile_hand_ros.closed_loop.record import Record
 from tactile_hand_ros.cockpit.events import Watch
-from tactile_hand_ros.cockpit.picture import KEPT, ROWS_PER_BATCH, Picture
+from tactile_hand_ros.cockpit.picture import ROWS_PER_BATCH, Picture
 from tactile_hand_ros.control.slip.detector import ContactState
-from tactile_hand_ros.ros.messages import (
-    ContactsCodec,
-    ImuCodec,
-    JointCodec,
-    PoseCodec,
-    WrenchCodec,
-)
+from tactile_hand_ros.report.document import plot_columns, scene_columns
+from tactile_hand_ros.run.result import RunData
 
-FINGERS = ("finger_1", "finger_2")
 MS = 1_000_000
-Batch = dict[str, list[bytes]]
+SLIPS = {"grip": (ContactState.STICK, ContactState.SLIP, ContactState.STICK)}
 
 
-def batch(
-    *ticks: int,
-    slip: Sequence[float] = (0.0, 0.0),
-    grip: int = ContactState.STICK,
-    force: float = 10.0,
-    torque: float = 0.5,
-) -> Batch:
-    """Return the messages of some ticks, ms; of finger 2 only, the alarm is `grip`."""
-    found: Batch = {}
-    joints = JointCodec(["a", "b", "c"], ("position", "velocity", "effort"))
-    of_fingers = JointCodec(FINGERS, ("position", "velocity", "effort"))
-    turn = np.array([0.0, 0.0, 0.6, 0.8])
-    for tick in ticks:
-        stamp, still = tick * MS, np.zeros(2)
-        state = of_fingers.encode(stamp, np.array([0.4, 0.5]), still, np.array([1.0, grip]))
-        sliding = of_fingers.encode(stamp, still, np.array(slip), still)
-        places = np.array([[0.1, 0.2, 0.3], [0.4, 0.5, 0.6]])
-        messages = {
-            names.JOINT_STATES: joints.encode(
-                stamp,
-                np.array([0.1, 0.2, 0.3]),
-                np.array([1.0, 2.0, 1e-3 * tick]),
-                np.full(3, torque),
-            ),
-            names.CONTACTS: ContactsCodec(2).encode(places, np.tile(turn, (2, 1)), stamp),
-            names.GRASP_FORCE: WrenchCodec("palm").encode([0.0, force, 0.0], stamp),
-            names.GRIP_STATE: state,
-            names.TRUE_SLIP: sliding,
-            names.IMU: ImuCodec().encode(np.array([0.6, 0.0, 0.8, 0.0]), stamp),
-            names.AUXILIARY_POSE: PoseCodec().encode(np.array([1.0, 2.0, 3.0]), turn, stamp),
-        }
-        for i, name in enumerate(FINGERS):
-            codec = WrenchCodec(names.contact_frame(name))
-            messages[names.wrench(name)] = codec.encode([3.0, 5.0 + i, 4.0], stamp)
-            messages[names.optimal_force(name)] = codec.encode([0.0, 0.3 + 0.4 * i, 0.0], stamp)
-        for topic, data in messages.items():
-            found.setdefault(topic, []).append(data)
-    return found
+class Batch(dict[str, list[bytes]]):
+    """The messages of a record by topic."""
+
+    def __init__(self, record: Record) -> None:
+        for row in range(len(record)):
+            write_tick(self, record, row, 0)
+
+    def write(self, topic: str, content: Any, _: int) -> None:
+        self.setdefault(topic.removeprefix("/"), []).append(serialized(content))
 
 
-def take(picture: Picture, messages: Batch) -> list[str]:
+def batch(*ticks: int, **arrays: Any) -> Batch:
+    """Return the messages of some ticks, ms, of which some arrays have a value."""
+    record = random_record(len(ticks))
+    record.stamps[:] = MS * np.array(ticks)
+    still = {"true_sliding": 0.0, "grip": ContactState.STICK, "grasp_force": 10.0, "torque": 0.5}
+    for name, value in {**still, **arrays}.items():
+        getattr(record, name)[:] = value
+    return Batch(record)
+
+
+def take(picture: Picture, messages: dict[str, list[bytes]]) -> list[str]:
     """Read a batch, make rows, and return the errors."""
     errors = [str(error) for error in picture.take(messages)]
     picture.advance()
@@ -82,34 +60,23 @@ def shown(picture: Picture, column: str) -> np.ndarray:
 
 @pytest.fixture
 def picture() -> Picture:
-    made = Picture(FINGERS, ("a", "b", "c"))
-    made.desired = np.array([1.0, 2.0, 3.5, 0.0, 0.0, 0.0, 1.0])
-    return made
+    record = random_record(1)
+    return Picture(record.finger_names, record.joint_names, 0)
 
 
-def test_a_row_has_the_numbers_of_its_tick(picture: Picture) -> None:
-    assert take(picture, batch(2, 4)) == []
+def test_a_row_has_the_numbers_of_a_report(picture: Picture) -> None:
+    record = random_record(ROWS_PER_BATCH)
+    pose = record.desired_position[0], record.desired_quaternion[0]
+    picture.desired = np.concatenate(pose)
+    assert take(picture, Batch(record)) == []
     total, times, _ = picture.since(0)
-    assert (total, times.tolist()) == (2, [0.002, 0.004])
-    known = {
-        "theta": [0.1, 0.2, 0.3],
-        "rates": [1.0, 2.0, 0.004],
-        "contact_positions": [0.1, 0.2, 0.3, 0.4, 0.5, 0.6],
-        "contact_quaternions": [0.0, 0.0, 0.6, 0.8] * 2,
-        "position_error": [0.5],
-        "rotation_error": [2.0 * 2.0 * 0.6 * 0.8],  # twice the sine of twice the half angle
-        "force": [3.0, 5.0, 4.0, 3.0, 6.0, 4.0],
-        "expected": [3.0, 7.0],
-        "beta": [1.0, 5.0 / 6.0],
-        "friction": [0.4, 0.5],
-        "grip": [1.0, 1.0],
-        "grasp_force": [10.0],
-        "push": [0.0] * 6,
-        "palm": [0.6, 0.0, 0.8, 0.0],
-    }
-    for name, values in known.items():
-        np.testing.assert_allclose(shown(picture, name)[-1], values, rtol=1e-6, err_msg=name)
-    assert np.isnan(shown(picture, "object_position")).all()  # no ground truth
+    assert total == len(record) and times.tolist() == record.times.tolist()
+    known = plot_columns(RunData(record, None)) | scene_columns(record)
+    assert picture.columns.keys() - known.keys() == {"push", "palm"}
+    for name in picture.columns.keys() & known.keys():
+        expected = known[name].reshape(total, -1)
+        np.testing.assert_allclose(shown(picture, name), expected, rtol=1e-6, err_msg=name)
+    assert (shown(picture, "push") == 0.0).all() and np.isnan(shown(picture, "palm")).all()
 
 
 def test_rows_wait_for_a_topic_that_still_comes_and_not_for_a_dead_one(
@@ -131,24 +98,26 @@ def test_rows_wait_for_a_topic_that_still_comes_and_not_for_a_dead_one(
     assert np.isfinite(shown(picture, "theta")[-1]).all()
 
 
-def test_many_ticks_become_few_rows_with_the_newest_among_them(picture: Picture) -> None:
-    assert take(picture, batch(*range(1, 101))) == []
-    assert picture.total == ROWS_PER_BATCH
-    assert picture.since(0)[1][-1] == pytest.approx(0.1)
-    for start in range(1, 2 * KEPT // ROWS_PER_BATCH):
-        take(picture, batch(*range(100 * start + 1, 100 * start + 5)))
+def test_many_ticks_become_few_rows_with_the_newest_among_them(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("tactile_hand_ros.cockpit.picture.KEPT", 10)
+    record = random_record(1)
+    picture = Picture(record.finger_names, record.joint_names, 0)
+    for start in range(4):
+        assert take(picture, batch(*range(100 * start + 1, 100 * start + 21))) == []
+        assert picture.total == (start + 1) * ROWS_PER_BATCH
+        assert picture.since(0)[1][-1] == pytest.approx(0.1 * start + 0.02)
     total, times, rows = picture.since(0)
-    assert total > KEPT == len(times) == len(rows)
+    assert total > 10 == len(times) == len(rows)
     assert (np.diff(times) > 0.0).all()
     assert len(picture.since(total - 3)[1]) == 3
 
 
-def test_time_that_is_set_back_starts_anew(picture: Picture) -> None:
-    take(picture, batch(500, 502))
+def test_what_came_before_time_was_set_back_is_not_shown(picture: Picture) -> None:
     take(picture, batch(504, 0, 2))
-    assert picture.epoch == 1
-    assert picture.since(0)[1].tolist() == [0.0, 0.002]
-    assert np.isnan(picture.desired).all()
+    take(picture, batch(600))
+    assert picture.since(0)[1] == pytest.approx([0.0, 0.002, 0.6])
 
 
 def test_a_message_of_another_type_is_rejected_and_the_rest_is_shown(picture: Picture) -> None:
@@ -156,37 +125,38 @@ def test_a_message_of_another_type_is_rejected_and_the_rest_is_shown(picture: Pi
     (error,) = take(picture, broken)
     assert names.AUXILIARY_POSE in error
     longer = bytearray(batch(4)[names.JOINT_STATES][0])
-    at = longer.index(b"\x03\0\0\0", longer.index(b"c\0"))  # the number of angles
-    longer[at] = 4
+    at = longer.index(b"\x09\0\0\0", longer.index(b"joint_9\0"))  # the number of angles
+    longer[at] = 10
     (error,) = take(picture, {names.JOINT_STATES: [bytes(longer)]})
-    wider = JointCodec(["a"], ("position", "velocity", "effort"))
-    narrow = {names.JOINT_STATES: [wider.encode(4 * MS, *[np.zeros(1)] * 3)]}
-    (error,) = take(picture, narrow)
-    assert "3 numbers, expected 9" in error
+    one = joint_message(["a"], 4 * MS, position=[0.0], velocity=[0.0], effort=[0.0])
+    (error,) = take(picture, {names.JOINT_STATES: [serialized(one)]})
+    assert "3 numbers, expected 27" in error
     assert picture.total == 1
 
 
 def test_the_course_of_a_slip_in_milliseconds(picture: Picture) -> None:
     watch, events = Watch(), []
     for messages in (
-        batch(0, 2),
-        batch(4, 6, slip=(0.0, 0.01)),
-        batch(8, slip=(0.0, 0.02), grip=ContactState.SLIP),
-        batch(9, grip=ContactState.SLIP),  # too short a pause for a second slip
-        batch(10, slip=(0.0, 0.02), grip=ContactState.SLIP, force=12.0),
-        batch(12, 30, 34, force=12.0, torque=0.6),
+        batch(0, grasp_force=20.0),
+        batch(2),
+        batch(4, 6, true_sliding=(0.0, 0.01, 0.0)),
+        batch(8, true_sliding=(0.0, 0.02, 0.0), **SLIPS),
+        batch(9, **SLIPS),  # too short a pause for a second slip
+        batch(10, true_sliding=(0.0, 0.02, 0.0), grasp_force=12.0, **SLIPS),
+        batch(12, 30, 34, grasp_force=12.0, torque=0.6),
     ):
         take(picture, messages)
         events += list(watch.step(picture))
-    assert [(e["time"], e["kind"], e["finger"]) for e in events] == [
-        (0.004, "slip", "finger_2"),
-        (0.008, "detection", "finger_2"),
-        (0.01, "reaction", ""),
+    assert [event[:3] for event in events] == [
+        (4 * MS, "slip", "finger_2"),
+        (8 * MS, "detection", "finger_2"),
+        (10 * MS, "reaction", ""),
     ]
     known = {"detection": 4.0, "reaction": 6.0, "torque": 8.0, "stuck": 6.0}
     assert watch.response == {"at": 0.004, "finger": "finger_2"} | known
-    take(picture, batch(36, slip=(0.0, 0.01)))  # a pause of 26 ms: the next slip
-    assert [e["kind"] for e in watch.step(picture)] == ["slip"]
+    take(picture, batch(36, true_sliding=(0.0, 0.01, 0.0)))  # a pause of 26 ms: the next slip
+    assert [event[1] for event in watch.step(picture)] == ["slip"]
+    assert watch.response["at"] == pytest.approx(0.036)
 
 
 def test_an_alarm_that_arrives_before_its_slip_belongs_to_it(picture: Picture) -> None:
@@ -194,12 +164,12 @@ def test_an_alarm_that_arrives_before_its_slip_belongs_to_it(picture: Picture) -
     watch, first = Watch(), batch(0, 2)
     take(picture, first)
     assert list(watch.step(picture)) == []
-    whole = batch(4, slip=(0.01, 0.0), grip=ContactState.SLIP, force=11.0)
+    whole = batch(4, true_sliding=(0.01, 0.0, 0.0), grasp_force=11.0, **SLIPS)
     truth = {names.TRUE_SLIP: whole.pop(names.TRUE_SLIP)}
     take(picture, whole)
     assert list(watch.step(picture)) == []
     take(picture, truth)
-    kinds = [event["kind"] for event in watch.step(picture)]
+    kinds = [event[1] for event in watch.step(picture)]
     assert kinds == ["slip", "detection", "reaction"]
     known = {"at": 0.004, "finger": "finger_1", "detection": 0.0, "reaction": 0.0}
     assert watch.response == known
@@ -207,7 +177,7 @@ def test_an_alarm_that_arrives_before_its_slip_belongs_to_it(picture: Picture) -
 
 def test_without_ground_truth_a_response_starts_with_the_alarm(picture: Picture) -> None:
     watch = Watch()
-    for messages in (batch(0), batch(4, grip=ContactState.SLIP), batch(30, force=20.0)):
+    for messages in (batch(0), batch(4, **SLIPS), batch(30, grasp_force=20.0)):
         messages.pop(names.TRUE_SLIP)
         take(picture, messages)
         list(watch.step(picture))

@@ -6,6 +6,7 @@
 
 import base64
 import json
+import re
 import tempfile
 from pathlib import Path
 from typing import Any
@@ -26,13 +27,14 @@ from support.recorded import (
 )
 
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
-from tactile_hand_ros.report.document import pack, run_document, shown
+from tactile_hand_ros.report.document import run_document, shown
 from tactile_hand_ros.report.page import MOST_EARLIER, Result, write_report
 from tactile_hand_ros.run.metrics import json_ready
 from tactile_hand_ros.run.run import Run
 from tactile_hand_ros.scenario.scenario import Scenario, load_scenario, resolved
 
 GOLDEN = Path(__file__).parents[2] / "data" / "report.json"
+NUMBER = re.compile(r"-?\d+(?:\.\d+)?(?:e[+-]?\d+)?")
 PULL = [{"kind": "step", "start": 0.02, "force": [0.0, 0.0, -2.0]}]
 
 
@@ -67,31 +69,13 @@ def readable(document: dict[str, Any]) -> Any:
     return json.loads(json.dumps(json_ready(out)))
 
 
-def as_number(text: str) -> float | None:
-    """Return the number in a text, or None."""
-    try:
-        return float(text)
-    except ValueError:
-        return None
-
-
-def assert_same(found: Any, expected: Any, place: str = "") -> None:
+def assert_same(found: Any, expected: Any) -> None:
     """Assert that plain data are equal, numbers to a millionth."""
-    if isinstance(expected, dict):
-        assert found.keys() == expected.keys(), place
-        for key, value in expected.items():
-            assert_same(found[key], value, f"{place}.{key}")
-    elif isinstance(expected, list):
-        assert len(found) == len(expected), place
-        for i, value in enumerate(expected):
-            assert_same(found[i], value, f"{place}[{i}]")
-    elif isinstance(expected, str) and (number := as_number(expected)) is not None:
-        # Residuals at rounding level differ between machines.
-        assert as_number(found) == pytest.approx(number, rel=1e-3, abs=1e-12), place
-    elif isinstance(expected, float):
-        assert found == pytest.approx(expected, rel=1e-6, abs=1e-9), place
-    else:
-        assert found == expected, place
+    texts = [json.dumps(each, indent=0, sort_keys=True) for each in (found, expected)]
+    assert NUMBER.sub("#", texts[0]) == NUMBER.sub("#", texts[1])
+    # Residuals at rounding level differ between machines.
+    numbers = [np.array(NUMBER.findall(text), dtype=float) for text in texts]
+    np.testing.assert_allclose(*numbers, rtol=1e-6, atol=1e-9)
 
 
 def test_the_document_of_a_recorded_run(tmp_path: Path) -> None:
@@ -106,7 +90,7 @@ def test_a_simulated_run_gives_the_same_without_what_only_a_bag_holds(tmp_path: 
     for name in ("recorded", "tables", "tiles", "columns", "scenario"):
         del of_bag[name]
     assert_same({name: found[name] for name in of_bag}, of_bag)
-    assert [tile["label"] for tile in found["tiles"]][-1] == "longest slip"
+    assert found["tiles"][-1]["label"] == "longest slip"
     assert found["tables"][0]["title"] == "Metrics"
     assert result.report(tmp_path) == tmp_path / "report.html"
     assert len(result.plot().axes) == 4
@@ -133,14 +117,6 @@ def test_of_many_ticks_first_last_peaks_and_events_are_shown(limit: int) -> None
     rows = shown(100, limit, [up, down], np.array([42]))
     assert {0, 37, 42, 61, 99} <= set(rows.tolist()) and (np.diff(rows) > 0).all()
     assert len(rows) <= max(limit, 9) + 9
-    np.testing.assert_array_equal(shown(100, 100, [up], np.array([42])), np.arange(100))
-
-
-def test_whole_numbers_are_packed_with_a_mark_for_nan() -> None:
-    assert pack(np.array([0.0, np.nan, 254.0]), "u1") == {
-        "type": "u1", "shape": [3], "data": "AP/+",
-    }  # fmt: skip
-    assert pack(np.array([[1.0]])) == {"type": "f4", "shape": [1, 1], "data": "AACAPw=="}
 
 
 def test_a_gap_in_a_bag_is_a_gap_and_no_lost_contact(tmp_path: Path) -> None:
@@ -194,8 +170,8 @@ def test_a_page_has_the_last_ten_sections(tmp_path: Path) -> None:
 
 def test_of_a_real_hand_has_no_object_and_nothing_judges_it(tmp_path: Path) -> None:
     document = run_document(Run(write_record(tmp_path / "bag", random_record(truth=False))))
-    assert document["object"] is None and document["hand"] is None and document["assumptions"] == []
-    assert document["passed"] is None and document["headline"] == ""
+    assert (document["object"], document["hand"], document["assumptions"]) == (None, None, [])
+    assert (document["passed"], document["headline"]) == (None, "")
     assert np.isnan(values(document, "object_position")).all()
     assert any("The scenario is unknown" in note for note in document["notes"])
     labels = {tile["label"]: tile for tile in document["tiles"]}
@@ -214,35 +190,27 @@ def test_a_dropped_object_is_the_headline(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "words"),
+    ("old", "new", "words", "corners"),
     [
-        ("name: paper", "name: paper\nunheard_of: 1", "neither the hand's URDF"),
-        ("hand: paper", "hand: gone/hand.yaml", "The hand cannot be drawn: "),
-        ("hand: paper", "a: [", "neither the hand's URDF"),
+        ("name: paper", "name: paper\nunheard_of: 1", "The bag has neither the hand's URDF", 0),
+        ("hand: paper", "a: [", "The bag has neither the hand's URDF", 0),
+        ("hand: paper", "hand: gone/hand.yaml", "The hand cannot be drawn: ", 8),
+        ("mesh: ''", "mesh: gone.stl", "The object cannot be drawn: gone", 0),
+        ("shape: box", "shape: sphere", "", 614),
     ],
 )
-def test_a_scenario_that_does_not_fit_is_shown_as_text(
-    old: str, new: str, words: str, tmp_path: Path
+def test_of_another_machine_or_version_shows_what_fits(
+    old: str, new: str, words: str, corners: int, tmp_path: Path
 ) -> None:
     """A scenario of another version of the package may have any content."""
     text = resolved(load_scenario("paper")).replace(old, new)
     run = Run(write_record(tmp_path / "bag", random_record(5), custom_data={"scenario": text}))
     document = run_document(run)
-    assert document["hand"] is None and words in document["notes"][-1]
-    assert document["assumptions"] == [] and document["scenario"] == text
-
-
-@pytest.mark.parametrize(
-    ("old", "new", "corners", "notes"),
-    [("mesh: ''", "mesh: gone.stl", 0, 1), ("shape: box", "shape: sphere", 614, 0)],
-)
-def test_a_mesh_that_is_elsewhere_is_not_drawn_and_a_round_object_is(
-    old: str, new: str, corners: int, notes: int, tmp_path: Path
-) -> None:
-    told = {"scenario": resolved(load_scenario("paper")).replace(old, new)}
-    document = run_document(Run(write_record(tmp_path / "bag", random_record(5), custom_data=told)))
+    assert document["scenario"] == text
+    assert words in " ".join(document["notes"][-1:])
+    is_unknown = "hand" in words
+    assert (document["hand"] is None) == is_unknown == (document["assumptions"] == [])
     assert len((document["object"] or {"vertices": []})["vertices"]) == corners
-    assert sum("object cannot be drawn: gone" in note for note in document["notes"]) == notes
 
 
 def test_the_hand_that_was_recorded_is_drawn(tmp_path: Path) -> None:

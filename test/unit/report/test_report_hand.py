@@ -51,18 +51,10 @@ def test_tips_are_where_the_physics_has_them(layout: str) -> None:
     assert [tip["radius"] for tip in tree["tips"]] == hand.radii.tolist()
 
 
-@pytest.mark.parametrize(
-    ("old", "new"),
-    [
-        ("</robot>", ""),
-        ('xyz="0 0 1"', 'xyz="0 0"'),
-        ('<child link="jaw"/>', ""),
-        ('<parent link="palm"/>', ""),
-    ],
-)
-def test_a_broken_urdf_is_refused(old: str, new: str) -> None:
-    with pytest.raises(HandModelError, match="not a valid URDF"):
-        hand_tree(SLIDER.replace(old, new), ["slide"], {})
+@pytest.mark.parametrize("old", ["</robot>", " 1", '<child link="jaw"/>', '<parent link="palm"/>'])
+def test_a_broken_urdf_is_refused(old: str) -> None:
+    with pytest.raises(HandModelError, match="URDF"):
+        hand_tree(SLIDER.replace(old, "", 1), ["slide"], {})
 
 
 def test_a_placement_turns_about_fixed_axes_x_first() -> None:

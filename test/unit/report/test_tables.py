@@ -39,25 +39,12 @@ METRICS = Metrics(
 )
 
 
-@pytest.mark.parametrize(
-    ("value", "text"),
-    [
-        (math.nan, "unknown"),
-        (0.0, "0 mm"),
-        (-0.99e-9, "0 mm"),
-        (1e-9, "< 0.001 mm"),
-        (-0.99e-6, "< 0.001 mm"),
-        (1e-6, "0.001 mm"),
-        (-0.0123456, "-12.35 mm"),
-    ],
-)
-def test_lengths_are_in_thousandths(value: float, text: str) -> None:
-    assert tables.milli(value, "m") == text
-
-
-def test_numbers_have_four_digits_and_their_unit() -> None:
+def test_numbers_have_four_digits_and_lengths_are_in_thousandths() -> None:
     texts = [tables.number(1.23456, "N"), tables.number(12345.6), tables.number(math.nan, "N")]
     assert texts == ["1.235 N", "1.235e+04", "unknown"]
+    lengths = [math.nan, 0.0, -0.99e-9, 1e-9, -0.99e-6, 1e-6, -0.0123456]
+    milli = ["unknown", "0 mm", "0 mm", "< 0.001 mm", "< 0.001 mm", "0.001 mm", "-12.35 mm"]
+    assert [tables.milli(length, "m") for length in lengths] == milli
 
 
 def test_metrics_of_a_real_hand_that_dropped_the_object() -> None:

@@ -9,8 +9,6 @@ const WORDS = ["ok", "warning", "error", "silent"];
 const STEPS = [["onset", "onset"], ["detection", "detected"], ["reaction", "k_f rises"], ["torque", "torque rises"], ["stuck", "sticks again"]];
 const BREAKS = { A2: 0, A4: 0, A6: 0, A7: 1e-3 }; // margins at and below which an assumption is broken
 
-const SKIN_FAULTS = ["none", "off", "stuck", "wrong"];
-
 const LAW = "Gains change while the hand holds. The law itself cannot: a new law starts without the load that the old one carries, so the object would drop. Start another run with --set manipulation_controller.law.name=...";
 
 /** Make a panel with a title; `update` replaces its rows. */
@@ -60,7 +58,7 @@ export function breaks(source, act) {
     if ((await act({ do: "set", node: "tactile_sensor", name: "faults", value })).ok) inForce = value;
     else show();
   };
-  const skin = source.run.fingers.map(({ name }) => choice(name.replaceAll("_", " "), SKIN_FAULTS, asked));
+  const skin = source.run.fingers.map(({ name }) => choice(name.replaceAll("_", " "), source.run.faults, asked));
   choice("link of this tab", LINK_FAULTS, (select) => (source.fault = select.value));
   source.ask({ do: "parameters", node: "tactile_sensor" }).then(({ ok, text }) => {
     if (ok) inForce = JSON.parse(text).find((one) => one.name === "faults").value;
@@ -120,7 +118,7 @@ export function parameters(source, act) {
   return { element, update: () => {} };
 }
 
-function field(node, { name, value, meaning, unit, choices, min, max }, act) {
+function field(node, { name, value, meaning, unit, choices }, act) {
   const change = async () => {
     const given = Array.isArray(value) ? input.value.split(",").filter(Boolean).map((word) => (isNaN(word) ? word.trim() : Number(word))) : typeof value === "boolean" ? input.checked : typeof value === "number" ? Number(input.value) : input.value;
     const { ok } = await act({ do: "set", node, name, value: given });
@@ -131,7 +129,7 @@ function field(node, { name, value, meaning, unit, choices, min, max }, act) {
   const kind = typeof value === "boolean" ? "checkbox" : typeof value === "number" ? "number" : "text";
   const input = choices.length
     ? el("select", { id, onchange: change }, ...choices.map((choice) => el("option", { value: choice }, choice)))
-    : el("input", { id, type: kind, step: "any", min: min ?? undefined, max: max ?? undefined, onchange: change });
+    : el("input", { id, type: kind, step: "any", onchange: change });
   const put = () => (kind === "checkbox" ? (input.checked = value) : (input.value = String(value)));
   put();
   return el("div", { class: "field" }, el("label", { for: id, title: meaning }, name, el("small", {}, meaning)), input, el("small", {}, unit));

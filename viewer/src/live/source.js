@@ -12,11 +12,10 @@ export class LiveSource {
   /** Connect; `changed(what)` is called after news: "run", "rows", "status", "link" or "reply". */
   constructor(changed) {
     this.run = null;
-    this.status = { nodes: [], margins: {}, events: [], response: {}, driver: 0 };
+    this.status = { nodes: [], margins: {}, events: [], response: {}, drives: false };
     this.connected = false;
     this.problem = "";
     this.fault = "none";
-    this.tab = 0;
     this._changed = changed;
     this._waiting = new Map();
     this._number = 0;
@@ -25,7 +24,7 @@ export class LiveSource {
 
   /** Whether this tab may command. */
   get drives() {
-    return this.connected && this.status.driver === this.tab;
+    return this.connected && this.status.drives;
   }
 
   /** Send a command; resolves to `{ok, text}`. */
@@ -52,8 +51,15 @@ export class LiveSource {
     const { host, search } = window.location;
     this._socket = new WebSocket(`ws://${host}/socket${search}`);
     this._socket.binaryType = "arraybuffer";
+    this._socket.onopen = () => this._opened();
     this._socket.onmessage = ({ data }) => (typeof data === "string" ? this._received(JSON.parse(data)) : this._rows(data));
     this._socket.onclose = () => this._closed();
+  }
+
+  _opened() {
+    this.connected = true;
+    this.ready();
+    this._changed("link");
   }
 
   _closed() {
@@ -77,12 +83,7 @@ export class LiveSource {
   }
 
   _received(message) {
-    if (message.welcome) {
-      this.tab = message.welcome;
-      this.connected = true;
-      this.ready();
-      this._changed("link");
-    } else if (message.hello) {
+    if (message.hello) {
       this._begin(message.hello);
     } else if (message.status) {
       this.status = message.status;
