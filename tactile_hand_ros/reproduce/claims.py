@@ -55,8 +55,7 @@ def scenario_of(key: str, layout: str, duration: float | None = None) -> Scenari
     changes = {"layout": layout, **others}
     if duration is not None:
         changes["duration"] = duration
-    options = {"layout": "--layout", "duration": "--duration"}
-    return load_scenario(name, changes, options)
+    return load_scenario(name, changes)
 
 
 Outcomes = Mapping[str, ExperimentRun]

@@ -42,7 +42,7 @@ def test_a_scenario_is_an_argument_or_an_option(options, wanted):
         ({"scenario": "paper", "named": "pull"}, "the scenario is given twice"),
         ({"scenario": "papr"}, "did you mean 'paper'"),
         ({"scenario": "broken.yaml"}, "broken.yaml: line 3, .* is not valid YAML"),
-        ({"duration": -1.0}, "--duration"),
+        ({"duration": -1.0}, "duration is -1"),
         ({"changes": ["plant.rte=500"]}, "did you mean 'rate'"),
         ({"changes": ["targets=[{position: [9, 9, 9]}]"]}, "out of reach"),
         ({"namespace": "1st"}, "the namespace is '1st'"),
