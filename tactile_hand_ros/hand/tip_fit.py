@@ -110,10 +110,7 @@ def _points(root: Element, finger: FingerConfig, file: Path) -> Array:
 
 def _three_numbers(element: Element | None, key: str, default: str = "0 0 0") -> Array:
     text = default if element is None else element.get(key, default)
-    words = text.split()
-    if len(words) != 3:
-        raise HandModelError(f"the URDF has '{text}', expected three numbers")
-    return np.array([float(word) for word in words])
+    return np.array(text.split(), dtype=float)
 
 
 def _mesh_file(name: str, file: Path) -> Path:

@@ -122,12 +122,6 @@ def test_the_tutorial_shows_what_its_commands_print(tmp_path, monkeypatch):
     assert (tmp_path / "runs" / "latest" / "report.html").is_file()
 
 
-def test_the_scenarios_page_shows_what_its_commands_print():
-    text = page("docs/how-to/scenarios.md")
-    check_agreement(tool.redrawn(text), text)
-    assert "\ngoal reached" in text
-
-
 @pytest.fixture
 def own_hand(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """Return the folder with the files of the page about your own hand, including the URDF."""
@@ -141,13 +135,13 @@ def own_hand(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return folder
 
 
-def test_the_page_about_ones_own_hand_shows_what_its_commands_print():
-    text = page("docs/tutorials/your-own-hand.md")
-    kept: list[Record] = []
+@pytest.mark.parametrize("name", ["how-to/scenarios.md", "tutorials/your-own-hand.md"])
+def test_a_page_shows_what_its_commands_print(name):
+    text, kept = page(f"docs/{name}"), list[Record]()
     check_agreement(tool.redrawn(text, lambda *run: kept.append(run[2])), text)
     assert "\ngoal reached" in text
-    [names] = re.findall(r"frame\[\[(.*?)\]\]", text)
-    assert set(re.findall(r'"([\w.]+)"', names)) <= set(columns(kept[0]))
+    for names in re.findall(r"frame\[\[(.*?)\]\]", text):
+        assert set(re.findall(r'"([\w.]+)"', names)) <= set(columns(kept[0]))
 
 
 def test_grippers_and_fingers_of_two_joints_hold_as_the_page_says(own_hand):

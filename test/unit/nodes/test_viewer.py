@@ -22,13 +22,11 @@ from std_msgs.msg import String
 from support.messages import contacts_message, force_message, pose_message
 from visualization_msgs.msg import Marker, MarkerArray
 
-from bench.processes import isolated_domain
 from tactile_hand_ros import names
 from tactile_hand_ros.config.paths import config_directory
 from tactile_hand_ros.nodes import viewer
 from tactile_hand_ros.nodes.viewer import Frame, ViewerNode, contact_markers
 from tactile_hand_ros.ros.endpoints import message_class, subscribe_directly, take_latest
-from tactile_hand_ros.ros.middleware import ros_context
 from tactile_hand_ros.ros.processes import wait_until
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -122,12 +120,11 @@ class Stage:
 
 
 @pytest.fixture
-def stage() -> Iterator[Stage]:
-    with isolated_domain() as domain, ros_context(domain=domain) as context:
-        made = Stage(context)
-        yield made
-        made.viewer.destroy_node()
-        made.node.destroy_node()
+def stage(context: Any) -> Iterator[Stage]:
+    made = Stage(context)
+    yield made
+    made.viewer.destroy_node()
+    made.node.destroy_node()
 
 
 def test_a_picture_holds_the_newest_of_everything(stage: Stage) -> None:
@@ -181,13 +178,12 @@ def test_a_best_effort_publisher_is_shown_and_wakes_nobody(stage: Stage) -> None
     assert len(taken) == len(KINDS) and not any(each.event_handlers for each in taken)
 
 
-def test_the_reliability_of_what_is_shown_can_be_overridden() -> None:
+def test_the_reliability_of_what_is_shown_can_be_overridden(context: Any) -> None:
     name = "qos_overrides./tactile/contacts.subscription.reliability"
-    with isolated_domain() as domain, ros_context(domain=domain) as context:
-        made = ViewerNode(context=context, parameter_overrides=[Parameter(name, value="reliable")])
-        profiles = {each.topic_name: each.qos_profile for each in made.subscriptions}
-        assert profiles["/tactile/contacts"].reliability.name == "RELIABLE"
-        made.destroy_node()
+    made = ViewerNode(context=context, parameter_overrides=[Parameter(name, value="reliable")])
+    profiles = {each.topic_name: each.qos_profile for each in made.subscriptions}
+    assert profiles["/tactile/contacts"].reliability.name == "RELIABLE"
+    made.destroy_node()
 
 
 def test_with_tf2_contacts_and_object_are_transforms(

@@ -21,14 +21,12 @@ from rosbags.rosbag2 import Reader
 from std_msgs.msg import Int64
 
 import tactile_hand_ros
-from bench.processes import isolated_domain
 from tactile_hand_ros.bag.reader import read_messages, summarize
 from tactile_hand_ros.errors import BagError
 from tactile_hand_ros.nodes.recorder import node as recorder_module
 from tactile_hand_ros.nodes.recorder import writer_process
 from tactile_hand_ros.nodes.recorder.node import RecorderNode
 from tactile_hand_ros.ros.diagnostics import ERROR, WARN
-from tactile_hand_ros.ros.middleware import ros_context
 from tactile_hand_ros.ros.node import TickPublisher
 from tactile_hand_ros.ros.processes import wait_until
 
@@ -87,20 +85,15 @@ class Stage:
 
 
 @pytest.fixture
-def stage(tmp_path: Path) -> Iterator[Stage]:
-    with (
-        isolated_domain() as domain,
-        ros_context(domain=domain) as here,
-        ros_context(domain=domain) as there,
-    ):
-        made = Stage(here, there, tmp_path / "bag")
-        yield made
-        if hasattr(made, "recorder"):
-            with suppress(BagError):
-                made.recorder.close()
-            made.recorder.destroy_node()
-        made.hand.destroy_node()
-        made.talker.destroy_node()
+def stage(context: Context, there: Context, tmp_path: Path) -> Iterator[Stage]:
+    made = Stage(context, there, tmp_path / "bag")
+    yield made
+    if hasattr(made, "recorder"):
+        with suppress(BagError):
+            made.recorder.close()
+        made.recorder.destroy_node()
+    made.hand.destroy_node()
+    made.talker.destroy_node()
 
 
 def number(value: int) -> bytes:

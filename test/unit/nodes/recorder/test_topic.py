@@ -3,23 +3,21 @@
 
 import sys
 from collections.abc import Iterator
-from contextlib import suppress
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from rclpy.context import Context
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 from std_msgs.msg import Float64, Int64
 
-from bench.processes import isolated_domain
 from tactile_hand_ros.errors import BagError
 from tactile_hand_ros.nodes.recorder import topic as topic_module
 from tactile_hand_ros.nodes.recorder.topic import LossCounter, RawTopic, adapted_qos
 from tactile_hand_ros.ros.endpoints import message_class
-from tactile_hand_ros.ros.middleware import ros_context
 from tactile_hand_ros.ros.processes import wait_until
 
 NAME, TYPE = "/number", "std_msgs/msg/Int64"
@@ -100,18 +98,12 @@ class Stage:
 
 
 @pytest.fixture
-def stage(monkeypatch: pytest.MonkeyPatch) -> Iterator[Stage]:
+def stage(monkeypatch: pytest.MonkeyPatch, context: Context, there: Context) -> Iterator[Stage]:
     monkeypatch.setattr(topic_module, "_DISCOVERY", 0.0)
-    with (
-        isolated_domain() as domain,
-        ros_context(domain=domain) as here,
-        ros_context(domain=domain) as there,
-    ):
-        nodes = Node("listener", context=here), Node("talker", context=there)
-        yield Stage(*nodes)
-        for node in nodes:
-            with suppress(Exception):
-                node.destroy_node()
+    nodes = Node("listener", context=context), Node("talker", context=there)
+    yield Stage(*nodes)
+    for node in nodes:
+        node.destroy_node()
 
 
 def test_messages_are_taken_with_their_times(stage):
