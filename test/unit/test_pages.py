@@ -176,10 +176,6 @@ def test_the_python_of_a_page_runs(name, tmp_path, monkeypatch, capsys):
         assert (tmp_path / "report.html").is_file()
 
 
-class NoMoreTicks(Exception):
-    """Ends the loop of the driver on the page."""
-
-
 @pytest.fixture
 def real_hand(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
     """Return the page, with its YAML and a matching URDF in the current folder."""
@@ -218,8 +214,7 @@ def test_the_drivers_loop_of_the_page_holds_the_joints(real_hand):
     told: list[str] = []
 
     def read_joints() -> tuple[Any, Any]:
-        if next(ticks, None) is None:
-            raise NoMoreTicks
+        next(ticks)
         return np.full(9, 0.1), np.full(9, 0.2)
 
     driver = {
@@ -230,7 +225,7 @@ def test_the_drivers_loop_of_the_page_holds_the_joints(real_hand):
         "publish_joint_hold": lambda _: None,
         "report": told.append,
     }
-    with pytest.raises(NoMoreTicks):
+    with pytest.raises(StopIteration):
         exec(fenced(real_hand, "python"), driver)
     assert len(applied) == 10 and all(np.isfinite(torque).all() for torque in applied)
     assert (applied[-1] != 0.0).any() and told[-1].endswith("; the joints are held")

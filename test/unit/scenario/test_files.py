@@ -84,11 +84,9 @@ def test_no_controller_is_made_for_a_mass_or_friction_that_a_hand_cannot_know(ba
     """Scenarios of a family differ in their events, not in the control of the hand."""
 
     def control(name):
-        scenario = load_scenario(name)
+        scenario, derived = load_scenario(name), {"grasp_force_limit", "imu"}
         regulator = scenario.slip_regulator.model_dump(exclude=USERS)
-        controller = scenario.manipulation_controller.model_dump(
-            exclude={"grasp_force_limit", "imu"}  # derived from the above and from the palm
-        )
+        controller = scenario.manipulation_controller.model_dump(exclude=derived)
         return regulator, scenario.force_optimizer.model_dump(), controller
 
     files = find_file("scenario", base).parent
