@@ -64,7 +64,7 @@ TREE = chain("ab", ["revolute"] * 2, LIMIT.format(0.0))
         (TREE, link(inertial='<origin xyz="0 0 x"/>'), "'one': inertial/origin xyz has 'x'"),
         (TREE, link({**MOMENTS, "iyz": "?"}), "link 'one': inertial/inertia iyz has"),
         ("<limit", '<axis xyz="1 b 0"/><limit', "joint 'a': axis xyz has 'b'"),
-        ("<link", '<xacro:a xmlns:xacro="x"/><link', "it has xacro elements; expand a xacro file"),
+        ("<link", '<xacro:a xmlns:xacro="a/xacro"/><link', "it has xacro elements; expand a xac"),
         ("<link", "<xacro:a/><link", "is not a URDF: unbound prefix"),
     ],
 )
