@@ -90,7 +90,7 @@ def _range(refusal: str, text: str, is_whole: bool) -> Parameter:
             raise ConfigurationError(f"{refusal} {expected}.")
     if levels:
         steps = [found.value(i / (count - 1)) for i in range(count)]
-        return Choice([round(step) for step in steps] if is_whole else steps)
+        return Choice(list(dict.fromkeys(map(round, steps))) if is_whole else steps)
     return Choice(range(int(found.low), int(found.high) + 1)) if is_whole else found
 
 

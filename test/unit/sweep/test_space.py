@@ -22,6 +22,7 @@ SPACE = {"a": Range(0.0, 2.0), "b": Range(0.1, 10.0, is_log=True), "c": Choice((
         ("m=1..16/3:log", Choice([1.0, 4.0, 16.0])),
         ("n=1..6", Choice(range(1, 7))),
         ("n=1..10/4", Choice([1, 4, 7, 10])),
+        ("n=1..2/9", Choice([1, 2])),
         ("m=a,b", Choice(("a", "b"))),
         ("m=[[0, 0, -9.81], [0, 0, 0]]", Choice(([0, 0, -9.81], [0, 0, 0]))),
         ("m=true,false", Choice((True, False))),
