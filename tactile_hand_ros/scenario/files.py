@@ -85,7 +85,8 @@ def _beside(file: Any, folder: Path) -> Any:
     """Return the absolute path of a file relative to a folder; names without suffix stay."""
     if not isinstance(file, str) or not Path(file).suffix:
         return file
-    return os.path.normpath(folder.resolve() / os.path.expanduser(file))
+    home = os.path.expanduser(file)  # unchanged if there is no such user
+    return home if file.startswith("~") else os.path.normpath(folder.resolve() / file)
 
 
 def merged(under: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
