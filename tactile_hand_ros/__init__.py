@@ -13,54 +13,33 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from tactile_hand_ros import sweep
-    from tactile_hand_ros.closed_loop.loop import ClosedLoop
-    from tactile_hand_ros.closed_loop.record import Record
-    from tactile_hand_ros.control.contact import Contacts, contact_frame
-    from tactile_hand_ros.control.controller import Controller
-    from tactile_hand_ros.control.laws import OptimalLaw
+    # `as` makes a name public to type checkers.
+    from tactile_hand_ros import sweep as sweep
+    from tactile_hand_ros.closed_loop.loop import ClosedLoop as ClosedLoop
+    from tactile_hand_ros.closed_loop.record import Record as Record
+    from tactile_hand_ros.control.contact import Contacts as Contacts
+    from tactile_hand_ros.control.contact import contact_frame as contact_frame
+    from tactile_hand_ros.control.controller import Controller as Controller
+    from tactile_hand_ros.control.laws import OptimalLaw as OptimalLaw
+    from tactile_hand_ros.control.optimizer.force_optimizer import ForceOptimizer as ForceOptimizer
     from tactile_hand_ros.control.optimizer.force_optimizer import (
-        ForceOptimizer,
-        ForceOptimizerConfig,
+        ForceOptimizerConfig as ForceOptimizerConfig,
     )
-    from tactile_hand_ros.control.slip.regulator import SlipRegulator
-    from tactile_hand_ros.errors import TactileHandError
-    from tactile_hand_ros.front_door import simulate
-    from tactile_hand_ros.hand.hand import Hand
-    from tactile_hand_ros.report.page import write_report
-    from tactile_hand_ros.run.metrics import Metrics, metrics
-    from tactile_hand_ros.run.run import Run
-    from tactile_hand_ros.scenario.scenario import Scenario, load_scenario
-    from tactile_hand_ros.simulation.plant import Plant
-    from tactile_hand_ros.simulation.skin import TactileSensor
-    from tactile_hand_ros.verify.recompute import recompute
+    from tactile_hand_ros.control.slip.regulator import SlipRegulator as SlipRegulator
+    from tactile_hand_ros.errors import TactileHandError as TactileHandError
+    from tactile_hand_ros.front_door import simulate as simulate
+    from tactile_hand_ros.hand.hand import Hand as Hand
+    from tactile_hand_ros.report.page import write_report as write_report
+    from tactile_hand_ros.run.metrics import Metrics as Metrics
+    from tactile_hand_ros.run.metrics import metrics as metrics
+    from tactile_hand_ros.run.run import Run as Run
+    from tactile_hand_ros.scenario.scenario import Scenario as Scenario
+    from tactile_hand_ros.scenario.scenario import load_scenario as load_scenario
+    from tactile_hand_ros.simulation.plant import Plant as Plant
+    from tactile_hand_ros.simulation.skin import TactileSensor as TactileSensor
+    from tactile_hand_ros.verify.recompute import recompute as recompute
 
 __version__ = "0.2.0"
-
-__all__ = [
-    "ClosedLoop",
-    "Contacts",
-    "Controller",
-    "ForceOptimizer",
-    "ForceOptimizerConfig",
-    "Hand",
-    "Metrics",
-    "OptimalLaw",
-    "Plant",
-    "Record",
-    "Run",
-    "Scenario",
-    "SlipRegulator",
-    "TactileHandError",
-    "TactileSensor",
-    "contact_frame",
-    "load_scenario",
-    "metrics",
-    "recompute",
-    "simulate",
-    "sweep",
-    "write_report",
-]
 
 _HOMES = {
     "ClosedLoop": "closed_loop.loop",
@@ -85,6 +64,7 @@ _HOMES = {
     "simulate": "front_door",
     "write_report": "report.page",
 }
+__all__ = [*_HOMES, "sweep"]
 
 
 def __getattr__(name: str) -> Any:

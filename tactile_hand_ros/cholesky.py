@@ -14,13 +14,9 @@ _SINGULAR = 1e-13  # share of a pivot that is left when its row depends on those
 
 @compiled
 def factorize(upper: Array) -> tuple[Array, bool]:
-    """Return U with U^T U = M, and whether M is positive definite beyond rounding.
+    """Return U with U^T U = M, shape (m, m), and whether M is positive definite beyond rounding.
 
-    Args:
-        upper: Symmetric M, of which the upper triangle counts, shape (m, m).
-
-    Returns:
-        U, shape (m, m), of no use where the second is False.
+    Only the upper triangle of M counts. Without the latter, U is of no use.
     """
     m = len(upper)
     u = np.zeros((m, m))
@@ -40,13 +36,9 @@ def factorize(upper: Array) -> tuple[Array, bool]:
 
 @compiled
 def substitute(u: Array, right: Array) -> None:
-    """Solve U^T U x = b for each column of an array, in place.
+    """Solve U^T U x = b for each column b of `right`, shape (m, n), in place.
 
     Zeros of U are passed over: where M consists of blocks, U does too.
-
-    Args:
-        u: From `factorize`, shape (m, m).
-        right: Columns b, shape (m, n).
     """
     m, n = right.shape
     for i in range(m):

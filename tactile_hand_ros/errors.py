@@ -25,10 +25,7 @@ def shortened(text: object, limit: int = 300) -> str:
 
 
 class TactileHandError(Exception):
-    """Base class of this package's errors.
-
-    The text is one sentence for the user: the value, the expectation and the remedy.
-    """
+    """Base class of this package's errors, each with one sentence for the user."""
 
 
 class ConfigurationError(TactileHandError):

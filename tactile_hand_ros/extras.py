@@ -14,12 +14,7 @@ class MissingLibraryError(TactileHandError):
 
 
 def optional(module: str, purpose: str, package: str = "") -> Any:
-    """Import an optional library.
-
-    Args:
-        module: Its module.
-        purpose: Names its user in the error text.
-        package: What pip installs, if its name differs.
+    """Import a module that `purpose` needs and pip installs as `package`, by default its name.
 
     Raises:
         MissingLibraryError: If it is not installed.

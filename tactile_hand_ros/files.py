@@ -10,11 +10,7 @@ from pathlib import Path
 
 
 def replace_text(path: Path, text: str) -> None:
-    """Replace a text file atomically.
-
-    Raises:
-        OSError: If it cannot be written.
-    """
+    """Replace a text file atomically, or raise OSError."""
     with draft_of(path) as draft, draft.open("xb") as file:
         file.write(text.encode())
         file.flush()
@@ -22,11 +18,7 @@ def replace_text(path: Path, text: str) -> None:
 
 
 def replace_link(link: Path, target: str) -> None:
-    """Replace a symbolic link atomically.
-
-    Raises:
-        OSError: If it cannot be created.
-    """
+    """Replace a symbolic link atomically, or raise OSError."""
     with draft_of(link) as draft:
         draft.symlink_to(target)
 

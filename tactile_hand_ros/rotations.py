@@ -14,31 +14,19 @@ Vector = tuple[float, float, float]
 
 
 def rotation_from_quaternion(quaternion: ArrayLike) -> Array:
-    """Convert quaternions to rotation matrices.
+    """Convert quaternions (x, y, z, w), shape (..., 4), to rotation matrices, shape (..., 3, 3).
 
     The length of a quaternion does not matter. Rows with NaN, and zero quaternions, give NaN.
-
-    Args:
-        quaternion: Order x, y, z, w. Shape (..., 4).
-
-    Returns:
-        Rotation matrices. Shape (..., 3, 3).
     """
     rows = np.ascontiguousarray(quaternion, dtype=np.float64)
     return rows_of_quaternions(rows.reshape(-1, 4)).reshape(rows.shape[:-1] + (3, 3))
 
 
 def quaternion_from_rotation(rotation: ArrayLike) -> Array:
-    """Convert rotation matrices to unit quaternions with w >= 0.
+    """Convert rotation matrices, shape (..., 3, 3), to unit quaternions, shape (..., 4), w >= 0.
 
     Of the two quaternions of a half turn (w = 0) the one whose first non-zero component is
     positive is returned. Matrices with NaN give NaN.
-
-    Args:
-        rotation: Rotation matrices. Shape (..., 3, 3).
-
-    Returns:
-        Order x, y, z, w. Shape (..., 4).
 
     Source:
         S. W. Shepperd, Quaternion from rotation matrix, 1978: divides by the largest component.

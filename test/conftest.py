@@ -73,13 +73,15 @@ def domain() -> Iterator[int]:
         yield number
 
 
-@pytest.fixture
-def context(domain: int) -> Iterator[Any]:
-    """A ROS context in a domain of its own."""
+def _context(domain: int) -> Iterator[Any]:
+    """A ROS context in a domain of its own; `there` is another one in the same domain."""
     from tactile_hand_ros.ros.middleware import ros_context
 
     with ros_context(domain=domain) as made:
         yield made
+
+
+context, there = pytest.fixture(_context, name="context"), pytest.fixture(_context, name="there")
 
 
 @pytest.fixture

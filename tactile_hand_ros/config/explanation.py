@@ -6,7 +6,7 @@ from __future__ import annotations
 import enum
 import reprlib
 import typing
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 from pydantic import BaseModel, ValidationError
@@ -16,17 +16,11 @@ from tactile_hand_ros.errors import ConfigurationError, nearest, shortened
 
 _MOST_LISTED = 30  # names in a sentence
 
-Source = str | Callable[[str], str]
-"""Source of a value: the name of a file or interface, or a function of its dotted place."""
 
-
-def explain(
-    error: ValidationError, model: type[BaseModel], source: Source = ""
-) -> ConfigurationError:
+def explain(error: ValidationError, model: type[BaseModel], source: str = "") -> ConfigurationError:
     """Turn pydantic's first finding into a sentence: place, given value, allowed values."""
     finding = error.errors(include_url=False)[0]
-    origin = source if isinstance(source, str) else source(_place(finding["loc"]))
-    return ConfigurationError(after_source(origin) + _sentence(finding, model))
+    return ConfigurationError(after_source(source) + _sentence(finding, model))
 
 
 def after_source(source: str) -> str:
@@ -134,17 +128,17 @@ def _extra(field: FieldInfo) -> Mapping[str, Any]:
     return extra if isinstance(extra, Mapping) else {}
 
 
-def element_type(annotation: Any) -> Any:
-    """Return the item type of a list or tuple type without its constraints, else the type."""
-    if typing.get_origin(annotation) not in SEQUENCES:
-        return annotation
-    item = typing.get_args(annotation)[0]
-    return typing.get_args(item)[0] if typing.get_origin(item) is typing.Annotated else item
-
-
 def is_sequence(annotation: Any) -> bool:
     """Return whether a type is a list or tuple of something."""
     return typing.get_origin(annotation) in SEQUENCES
+
+
+def element_type(annotation: Any) -> Any:
+    """Return the item type of a list or tuple type without its constraints, else the type."""
+    if not is_sequence(annotation):
+        return annotation
+    item = typing.get_args(annotation)[0]
+    return typing.get_args(item)[0] if typing.get_origin(item) is typing.Annotated else item
 
 
 def choices_of(annotation: Any) -> list[str]:

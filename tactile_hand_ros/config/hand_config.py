@@ -13,8 +13,7 @@ from tactile_hand_ros.config.model import Config, param, validate
 from tactile_hand_ros.config.plain_yaml import find_file, read_yaml
 from tactile_hand_ros.errors import HandModelError
 
-_NAME = "^[A-Za-z_][A-Za-z0-9_]{0,59}$"
-"""Names that are valid in a ROS topic."""
+_NAME = "^[A-Za-z_][A-Za-z0-9_]{0,59}$"  # valid in a ROS topic
 _TOPIC = "^(/?[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*)?$"
 _MESSAGE = "^(joint_state|float64_array|[a-z][a-z0-9_]*/msg/[A-Z][A-Za-z0-9]*)$"
 _MOST_FINGERS = 32
@@ -120,15 +119,10 @@ class HandConfig(Config):
     folder: Path = Field(default=Path(), description="where the file lies; set on loading")
 
     @model_validator(mode="after")
-    def _names_are_consistent(self) -> HandConfig:
+    def _finger_names_differ(self) -> HandConfig:
         names = self.finger_names
         if len(set(names)) != len(names):
             raise ValueError(f"finger names must differ, got {', '.join(names)}")
-        if self.default_layout and self.default_layout not in self.layouts:
-            raise ValueError(
-                f"default_layout '{self.default_layout}' is not one of the layouts "
-                f"({', '.join(self.layouts) or 'none'})"
-            )
         return self
 
     @property
@@ -164,13 +158,11 @@ class HandConfig(Config):
             HandModelError: If there is no such layout.
         """
         chosen = name or self.default_layout
-        if not chosen:
-            return {}
-        if chosen not in self.layouts:
+        if chosen and chosen not in self.layouts:
             raise HandModelError(
                 f"the hand has no layout '{chosen}'; use one of: {', '.join(self.layouts)}"
             )
-        return self.layouts[chosen]
+        return self.layouts.get(chosen, {})
 
 
 def load_hand_config(name: str) -> HandConfig:

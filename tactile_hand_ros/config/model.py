@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import math
 import typing
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from operator import attrgetter
 from typing import Any, TypeVar
 
@@ -14,7 +14,6 @@ from pydantic.fields import FieldInfo
 
 from tactile_hand_ros.config.explanation import (
     SEQUENCES,
-    Source,
     after_source,
     did_you_mean,
     element_type,
@@ -24,12 +23,13 @@ from tactile_hand_ros.config.explanation import (
 from tactile_hand_ros.errors import ConfigurationError
 
 C = TypeVar("C", bound="Config")
+_FULL_TURN = 2.0 * math.pi + 1e-3  # rad; tolerates a rounded value
 
 
 def param(
     default: Any, description: str, *, unit: str = "", live: bool = False, **constraints: Any
 ) -> Any:
-    """Declare one configuration field.
+    """Declare one field of a `Config`.
 
     Args:
         default: Value used when none is given; ``...`` makes the field required.
@@ -37,9 +37,6 @@ def param(
         unit: SI unit, empty for pure numbers and names.
         live: Whether the value may change while the system runs.
         **constraints: pydantic constraints such as ``ge``, ``gt``, ``le``, ``lt``, ``min_length``.
-
-    Returns:
-        A pydantic field for use in a `Config`.
     """
     extra: dict[str, Any] = {"unit": unit, "live": live}
     return Field(default, description=description, json_schema_extra=extra, **constraints)
@@ -69,8 +66,10 @@ class Config(BaseModel):
     @field_validator("*")
     @classmethod
     def _refuse_degrees(cls, value: Any, info: ValidationInfo) -> Any:
-        if unit_of(cls.model_fields[str(info.field_name)]) == "rad" and value is not None:
-            _check_radians(value if isinstance(value, SEQUENCES) else [value])
+        angles = value if isinstance(value, SEQUENCES) else [value or 0.0]
+        is_angle = unit_of(cls.model_fields[str(info.field_name)]) == "rad"
+        if is_angle and any(abs(angle) > _FULL_TURN for angle in angles):
+            raise ValueError(f"{value} goes beyond a full turn; angles are in rad, not degrees")
         return value
 
     def changed(self: C, changes: Mapping[str, Any]) -> C:
@@ -122,7 +121,7 @@ def from_flat(model: type[C], values: Mapping[str, Any], source: str = "") -> C:
     return validate(model, tree, source)
 
 
-def validate(model: type[C], data: Any, source: Source = "") -> C:
+def validate(model: type[C], data: Any, source: str = "") -> C:
     """Validate plain data, nested mappings as read from YAML, against a model.
 
     Raises:
@@ -132,19 +131,3 @@ def validate(model: type[C], data: Any, source: Source = "") -> C:
         return model.model_validate(data)
     except ValidationError as error:
         raise explain(error, model, source) from None
-
-
-_FULL_TURN = 2.0 * math.pi + 1e-3  # rad; tolerates a rounded value
-
-
-def _check_radians(angles: Sequence[float]) -> None:
-    """Reject implausibly large angles or rotation vectors in rad; suggest degrees."""
-    if any(abs(angle) > _FULL_TURN for angle in angles):
-        given, meant = _listed(angles), _listed([math.radians(angle) for angle in angles])
-        raise ValueError(
-            f"{given} goes beyond a full turn; angles are in rad: {meant} if these are degrees"
-        )
-
-
-def _listed(values: Sequence[float]) -> str:
-    return "[" + ", ".join(f"{value:.4g}" for value in values) + "]"

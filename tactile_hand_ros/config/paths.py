@@ -20,9 +20,6 @@ def config_directory() -> Path:
     It is the first that exists of: ``config/`` next to the package (a source tree),
     ``share/tactile_hand_ros/config`` of every prefix in ``AMENT_PREFIX_PATH`` (a ROS workspace),
     the same below ``sys.prefix`` (a virtual environment).
-
-    Raises:
-        ConfigurationError: If there is none.
     """
     tree = Path(__file__).resolve().parents[2]
     # An unrelated config/ may lie next to an installed package: package.xml marks our own tree.

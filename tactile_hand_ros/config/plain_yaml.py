@@ -20,7 +20,6 @@ LARGEST = 2**20
 LARGEST_YAML = 2**17
 """Maximum size of a YAML file [B]; the parser reads about 50 kB/s."""
 
-
 SUFFIXES = (".yaml", ".yml")
 
 
@@ -57,19 +56,12 @@ def read_text(path: str | Path, largest: int = LARGEST) -> str:
         with Path(path).open("rb") as file:
             data = file.read(largest + 1)
         if len(data) > largest:
-            raise _unreadable(path, f"it is larger than {largest} bytes, the maximum that is read")
+            raise ValueError(f"it is larger than {largest} bytes, the maximum that is read")
         return data.decode("utf-8")
-    except UnicodeDecodeError as error:
-        raise _unreadable(path, f"not UTF-8 text, see byte {error.start}") from None
-    except OSError as error:
-        raise _unreadable(path, str(error.strerror)) from None
-    except ValueError as error:  # an invalid file name
-        raise _unreadable(path, str(error)) from None
-
-
-def _unreadable(path: str | Path, reason: str) -> ConfigurationError:
-    name = str(path).encode(errors="backslashreplace").decode()
-    return ConfigurationError(f"{name}: cannot be read: {reason}.")
+    except (OSError, ValueError) as error:  # also of an invalid file name, or of other than UTF-8
+        name, reason = str(path).encode(errors="backslashreplace").decode(), str(error)
+        reason = str(error.strerror) if isinstance(error, OSError) else reason
+        raise ConfigurationError(f"{name}: cannot be read: {reason}.") from None
 
 
 def read_yaml(path: str | Path) -> Any:
@@ -103,20 +95,14 @@ def parse_yaml(text: str, source: str = "") -> Any:
     """
     try:
         data = yaml.load(text, _Loader)
-    except yaml.YAMLError as error:
+    except Exception as error:  # of any kind: PyYAML converts values without checks
         mark = getattr(error, "problem_mark", None)
         place = f"line {mark.line + 1}, column {mark.column + 1}" if mark else "this file"
-        problem = getattr(error, "problem", None) or "it cannot be parsed"
-        raise _not_yaml(source, place, problem) from None
-    except RecursionError:
-        raise _not_yaml(source, "this file", "it is nested too deeply") from None
-    except (ValueError, ArithmeticError, LookupError, AttributeError, TypeError) as error:
-        raise _not_yaml(source, "this file", f"a value is invalid ({error})") from None
+        problem = getattr(error, "problem", None) or error
+        raise ConfigurationError(
+            f"{after_source(source)}{place} is not valid YAML: {problem}."
+        ) from None
     return {} if data is None else data
-
-
-def _not_yaml(source: str, place: str, problem: str) -> ConfigurationError:
-    return ConfigurationError(f"{after_source(source)}{place} is not valid YAML: {problem}.")
 
 
 def parse_changes(changes: Sequence[str]) -> dict[str, Any]:

@@ -1,19 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
 """The hand in the URDF of a robot: the links behind the palm, and the joints that move a fingertip.
 
-Joints that move no fingertip are locked. Limits and couplings of the hand's YAML replace those of
-the URDF, in which they are often wrong.
+Joints that move no fingertip are locked at zero. Limits and couplings of the hand's YAML replace
+those of the URDF, in which they are often wrong.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from xml.etree.ElementTree import Element, SubElement
 
-import numpy as np
-
-from tactile_hand_ros.compiled import Array
 from tactile_hand_ros.config.hand_config import Coupling, HandConfig
 from tactile_hand_ros.errors import HandModelError
 
@@ -22,15 +19,10 @@ _TURN = 2.0 * math.pi  # rad, limit of a joint that turns without end
 
 
 def cut_at_palm(root: Element, palm: str, name: str) -> None:
-    """Remove all links and joints that do not hang on the palm.
-
-    Args:
-        root: The URDF, which is changed.
-        palm: Link at its root afterwards.
-        name: Name of the file.
+    """Remove all links and joints of a URDF that do not hang on the palm.
 
     Raises:
-        HandModelError: If there is no such link.
+        HandModelError: If there is no such link in the file `name`.
     """
     links = [str(link.get("name")) for link in root.findall("link")]
     if palm not in links:
@@ -66,10 +58,7 @@ def _with_those_behind(root: Element, links: set[str]) -> set[str]:
 def take_hand(root: Element, config: HandConfig, name: str) -> dict[str, Coupling]:
     """Leave only the joints of the hand movable, and return couplings by the joint that follows.
 
-    Args:
-        root: The URDF behind the palm, which is changed.
-        config: The hand.
-        name: Name of the file.
+    `root` is the URDF behind the palm, which is changed, and `name` that of its file.
 
     Raises:
         HandModelError: If a joint that the YAML names is not there, a joint of the hand has no
@@ -85,7 +74,10 @@ def take_hand(root: Element, config: HandConfig, name: str) -> dict[str, Couplin
     used |= {couplings[follower].joint for follower in used & set(couplings)}
     for own, joint in joints.items():
         if joint.get("type") in _MOVES and own not in used:
-            _lock(joint)
+            joint.set("type", "fixed")  # at zero
+            for tag in ("axis", "limit", "mimic", "dynamics"):
+                for element in joint.findall(tag):
+                    joint.remove(element)
         elif joint.get("type") == "continuous":
             joint.set("type", "revolute")
             _limit(joint, {"lower": -_TURN, "upper": _TURN})
@@ -128,15 +120,12 @@ def _limit(joint: Element, values: Mapping[str, float]) -> None:
 def _check_limit(joint: Element, follows: bool, name: str) -> None:
     """Reject a joint that moves without limits; the torque of one that follows does not count."""
     limit = joint.find("limit")
-    found = {} if limit is None else limit.attrib
-    wrong = [f"no {key}" for key in ("effort", "velocity") if key not in found]
-    if limit is not None and not wrong and not follows and _number(limit, "effort", 0.0) <= 0.0:
-        wrong = [f"an effort of {found['effort']}"]
-    if wrong:
+    limit = Element("limit") if limit is None else limit
+    strong = follows or _number(limit, "effort", 0.0) > 0.0
+    if not strong or not {"effort", "velocity"} <= set(limit.attrib):
         raise HandModelError(
-            f"'{name}', joint '{joint.get('name')}': <limit> has {' and '.join(wrong)}, expected a "
-            "torque or force above 0 and a speed; correct the URDF, or give them under 'limits' in "
-            "the hand's YAML"
+            f"'{name}', joint '{joint.get('name')}': <limit> needs an effort above 0 and a "
+            "velocity; correct the URDF, or give them under 'limits' in the hand's YAML"
         )
 
 
@@ -144,14 +133,17 @@ def _couplings(
     joints: Mapping[str, Element], wanted: Mapping[str, Coupling], name: str
 ) -> dict[str, Coupling]:
     """Return all couplings, those of the YAML first, and write them into the joints."""
-    found = {**dict(_of_urdf(joints)), **wanted}
+    found = dict[str, Coupling]()
+    for follower, element in joints.items():
+        if (mimic := element.find("mimic")) is not None:
+            ratio, offset = _number(mimic, "multiplier", 1.0), _number(mimic, "offset", 0.0)
+            leader = str(mimic.get("joint"))
+            found[follower] = Coupling(joint=leader, ratio=ratio, offset=offset)
+    found |= wanted
     for follower, coupling in found.items():
-        for joint, place in (
-            (follower, "couplings"),
-            (coupling.joint, f"the coupling of '{follower}'"),
-        ):
+        for joint in (follower, coupling.joint):
             if joint not in joints:
-                raise _unknown(joint, place, joints, name)
+                raise _unknown(joint, f"the coupling of '{follower}'", joints, name)
         is_driven = joints[coupling.joint].get("type") in _MOVES and coupling.joint not in found
         if not is_driven or coupling.ratio == 0.0:
             raise HandModelError(
@@ -164,42 +156,6 @@ def _couplings(
     return found
 
 
-def _of_urdf(joints: Mapping[str, Element]) -> Iterator[tuple[str, Coupling]]:
-    for name, joint in joints.items():
-        if (mimic := joint.find("mimic")) is not None:
-            ratio, offset = _number(mimic, "multiplier", 1.0), _number(mimic, "offset", 0.0)
-            yield name, Coupling(joint=str(mimic.get("joint")), ratio=ratio, offset=offset)
-
-
-def _lock(joint: Element) -> None:
-    """Fix a joint at zero, or at the end of its range that is nearest to zero."""
-    limit, at = joint.find("limit"), 0.0
-    if limit is not None and joint.get("type") != "continuous":
-        lower, upper = (_number(limit, end, 0.0) for end in ("lower", "upper"))
-        at = min(max(0.0, lower), upper)
-    if at:
-        _shift(joint, at)
-    joint.set("type", "fixed")
-    for tag in ("axis", "limit", "mimic", "dynamics"):
-        for element in joint.findall(tag):
-            joint.remove(element)
-
-
-def _shift(joint: Element, at: float) -> None:
-    """Move the origin of a joint to where its angle, rad, or travel, m, is zero afterwards."""
-    import pinocchio as pin  # loads slowly, and most hands lock nothing
-
-    origin, axis = joint.find("origin"), joint.find("axis")
-    place, angles = (three_numbers(origin, key) for key in ("xyz", "rpy"))
-    along = at * three_numbers(axis, "xyz", "1 0 0")
-    rotation = pin.rpy.rpyToMatrix(angles)
-    if joint.get("type") == "prismatic":
-        place = place + rotation @ along
-    else:
-        angles = pin.rpy.matrixToRpy(rotation @ pin.exp3(along))
-    place_joint(joint, place.tolist(), angles.tolist())
-
-
 def place_joint(joint: Element, xyz: Iterable[float], rpy: Iterable[float]) -> None:
     """Set the origin of a joint: its place, m, and its angles, rad."""
     _put(joint, "origin", {"xyz": " ".join(map(repr, xyz)), "rpy": " ".join(map(repr, rpy))})
@@ -208,19 +164,6 @@ def place_joint(joint: Element, xyz: Iterable[float], rpy: Iterable[float]) -> N
 def _number(element: Element, key: str, default: float) -> float:
     words = element.get(key, "").split()
     return float(words[0]) if words else default
-
-
-def three_numbers(element: Element | None, key: str, default: str = "0 0 0") -> Array:
-    """Return an attribute with three numbers, shape (3,).
-
-    Raises:
-        HandModelError: If it has others.
-    """
-    text = default if element is None else element.get(key, default)
-    words = text.split()
-    if len(words) != 3:
-        raise HandModelError(f"the URDF has '{text}', expected three numbers")
-    return np.array([float(word) for word in words])
 
 
 def _unknown(joint: str, place: str, joints: Mapping[str, Element], name: str) -> HandModelError:

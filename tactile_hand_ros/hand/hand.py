@@ -73,13 +73,7 @@ def mirrored(upper: Array) -> Array:
 
 
 class Dynamics(NamedTuple):
-    """Kinematics and dynamics of the hand at one posture, equation (3).
-
-    Attributes:
-        tips: Fingertip centers and Jacobians.
-        inertia: M_h, shape (m, m).
-        bias: C_h theta' + N_h, shape (m,), N m.
-    """
+    """Fingertips, M_h, shape (m, m), and C_h theta' + N_h, shape (m,), N m, of equation (3)."""
 
     tips: Fingertips
     inertia: Array
@@ -149,12 +143,12 @@ class Hand:
         link_lengths: float = 1.0,
         tip_radii: float = 1.0,
     ) -> None:
-        """Build the hand.
+        """Build the hand in a layout, by default in its own one, and by default without gravity.
 
         Args:
             config: Names of the URDF, fingers and tips.
-            layout: Name of the layout; empty for the default one.
-            gravity: Acceleration of gravity in the palm frame, shape (3,), m/s^2; default none.
+            layout: Name of the layout.
+            gravity: Acceleration of gravity in the palm frame, shape (3,), m/s^2.
             link_lengths: Factor of the link lengths of the URDF.
             tip_radii: Factor of the fingertip radii of the YAML.
 
@@ -171,7 +165,7 @@ class Hand:
         names = list(self.model.names[1:])
         driven = [name for name in names if name not in self.couplings]
         self._coupling, self._offsets = _coupling(names, driven, self.couplings)
-        _check_inertia(self.model, self._coupling, config.urdf)
+        _check_inertia(self.model, self._coupling, driven, config.urdf)
         self._support = _support(self.model, self.tip_frames)
         # Views of the arrays that Pinocchio overwrites.
         self._spatial, self._inertia, self._bias = self._data.J, self._data.M, self._data.nle
@@ -195,22 +189,13 @@ class Hand:
 
     @classmethod
     def load(
-        cls,
-        name: str,
-        layout: str = "",
-        gravity: Array | None = None,
-        link_lengths: float = 1.0,
-        tip_radii: float = 1.0,
+        cls, name: str, layout: str = "", gravity: Array | None = None, **factors: float
     ) -> Hand:
         """Return a hand by name (``paper``) or YAML file; for the rest see the constructor."""
-        return cls(load_hand_config(name), layout, gravity, link_lengths, tip_radii)
+        return cls(load_hand_config(name), layout, gravity, **factors)
 
     def part(self, chosen: NDArray[np.bool_]) -> Hand:
-        """Return the hand with some of its fingers and all its joints; gravity is common to both.
-
-        Args:
-            chosen: Mask of the fingers, shape (k,).
-        """
+        """Return the hand with the fingers of a mask, shape (k,), all joints and shared gravity."""
         if chosen.all():
             return self
         part, fingers = copy(self), np.flatnonzero(chosen)
@@ -308,21 +293,16 @@ class Hand:
     def turning_torque(self, theta: Array, rates: Array, spin: Array, acceleration: Array) -> Array:
         """Return the joint torques that balance the turning of the palm, shape (m,), N m.
 
-        Args:
-            theta: Joint angles.
-            rates: Joint rates.
-            spin: Angular velocity of the palm, palm axes, shape (3,), rad/s.
-            acceleration: Its angular acceleration, shape (3,), rad/s^2.
+        `spin` is its angular velocity, rad/s, and `acceleration` the derivative, palm axes, (3,).
         """
         if self._turned is None:
             self._turned = pin.buildModelFromXML(self.description, pin.JointModelFreeFlyer())
             self._turned.gravity.linear = np.zeros(3)
             self._turned_data = self._turned.createData()
-        theta, rates = self.all_angles(theta), self._all_rates(rates)
-        at = np.concatenate([np.zeros(6), [1.0], theta])
-        still, none = np.concatenate([np.zeros(6), rates]), np.zeros(len(rates))
-        turns = np.concatenate([np.zeros(3), spin, rates])
-        accelerations = np.concatenate([np.zeros(3), acceleration, none])
+        rates = self._all_rates(rates)
+        at = np.concatenate([np.zeros(6), [1.0], self.all_angles(theta)])
+        turns, still = (np.concatenate([np.zeros(3), w, rates]) for w in (spin, np.zeros(3)))
+        accelerations = np.concatenate([np.zeros(3), acceleration, np.zeros(len(rates))])
         model, data = self._turned, self._turned_data
         moved = np.array(pin.rnea(model, data, at, turns, accelerations))
         more = moved - pin.rnea(model, data, at, still, np.zeros(len(still)))
@@ -340,13 +320,13 @@ class Hand:
 
     def joint_positions(self, theta: Array) -> list[list[Array]]:
         """Return joint and tip positions along every finger, palm frame, each of shape (3,), m."""
-        pin.framesForwardKinematics(self.model, self._data, self.all_angles(theta))
         data = self._data
-        chains = ((_chain(self.model, frame), data.oMf[frame]) for frame in self.tip_frames)
-        return [
-            [place.translation.copy() for place in (*(data.oMi[joint] for joint in chain), tip)]
-            for chain, tip in chains
-        ]
+        pin.framesForwardKinematics(self.model, data, self.all_angles(theta))
+        chains = []
+        for frame in self.tip_frames:
+            places = [data.oMi[joint] for joint in _chain(self.model, frame)] + [data.oMf[frame]]
+            chains.append([place.translation.copy() for place in places])
+        return chains
 
 
 def _stretch(model: pin.Model, factor: float) -> None:
@@ -421,30 +401,19 @@ def _coupling(
     return s, offsets
 
 
-def _check_inertia(model: pin.Model, coupling: Array, urdf: str) -> None:
-    """Check that M_h of equation (3) has an inverse.
-
-    Raises:
-        HandModelError: If M_h is not positive definite.
-    """
+def _check_inertia(model: pin.Model, coupling: Array, driven: list[str], urdf: str) -> None:
+    """Reject a hand whose M_h of equation (3) has no inverse; name the joint that moves no mass."""
     posture = 0.3 + 0.1 * np.arange(model.nv)  # any, but not stretched
     inertia = mirrored(pin.crba(model, model.createData(), posture))
-    light = [
-        name for name, own in zip(model.names[1:], inertia.diagonal(), strict=True) if not own > 0.0
-    ]
     if coupling.size:
-        light, inertia = [], coupling.T @ inertia @ coupling
-    if light:
+        inertia = coupling.T @ inertia @ coupling
+    values, directions = np.linalg.eigh(inertia)
+    if not values[0] > 1e-12 * values[-1]:
+        joint = driven[int(np.abs(directions[:, 0]).argmax())]
         raise HandModelError(
-            f"joint '{light[0]}' of '{urdf}' moves no mass; give the links behind it an <inertial> "
-            "with mass and inertia"
-        )
-    eigenvalues = np.linalg.eigvalsh(inertia)
-    smallest, largest = eigenvalues[0], eigenvalues[-1]
-    if not smallest > 1e-12 * largest:
-        raise HandModelError(
-            f"the joints of '{urdf}' have an inertia matrix with the eigenvalue {smallest:.3g}, "
-            "expected all above 0; check mass, center and inertia of every <inertial>"
+            f"joint '{joint}' of '{urdf}' moves no mass: the inertia matrix of the joints has the "
+            f"eigenvalue {values[0]:.3g}, expected all above 0; give the links behind it an "
+            "<inertial> with mass and inertia"
         )
 
 

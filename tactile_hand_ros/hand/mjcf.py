@@ -28,9 +28,6 @@ def urdf_of_mjcf(path: Path) -> Element:
     Efforts are those of the actuators. Shapes that collide are kept, except meshes and ellipsoids.
     Rotor inertia and tendons are left out.
 
-    Args:
-        path: The file.
-
     Raises:
         HandModelError: If MuJoCo cannot read it, or a joint is a ball.
     """
@@ -60,10 +57,7 @@ def _efforts(model: Any) -> Array:
 
 
 def _largest_force(model: Any, actuator: int, joint: int) -> float:
-    """Return the largest force of an actuator, 0 if it has no end.
-
-    Without limits of its force, it is what the ends of the control and of the joint command.
-    """
+    """Return the largest force of an actuator, else that of its control and joint; 0 if endless."""
     if model.actuator_forcelimited[actuator]:
         return float(np.abs(model.actuator_forcerange[actuator]).max())
     if not model.actuator_ctrllimited[actuator]:
@@ -132,15 +126,8 @@ def _add_joints(root: Element, model: Any, body: int, efforts: Array) -> None:
         # The link between two joints has its origin on the axis of the first.
         child = name if is_last and not at.any() else f"{label}_link"
         limited = "revolute" if model.jnt_limited[joint] else "continuous"
-        element = _add_joint(
-            root,
-            label,
-            "prismatic" if kind == _SLIDE else limited,
-            parent,
-            child,
-            place + _matrix(turn) @ (at - before),
-            turn,
-        )
+        own, there = "prismatic" if kind == _SLIDE else limited, _matrix(turn) @ (at - before)
+        element = _add_joint(root, label, own, parent, child, place + there, turn)
         if child != name:
             SubElement(root, "link", name=child)
         SubElement(element, "axis", xyz=_text(model.jnt_axis[joint]))

@@ -15,7 +15,6 @@ from tactile_hand_ros.compiled import Array
 from tactile_hand_ros.config.hand_config import FingerConfig, HandConfig
 from tactile_hand_ros.errors import HandModelError
 from tactile_hand_ros.extras import optional
-from tactile_hand_ros.hand.extract import three_numbers
 
 _END = 0.25  # of the extent along the axis, where the fit starts
 _ROUNDS = 10  # of fitting and choosing points again
@@ -25,13 +24,7 @@ _WORST = 0.5  # of the radius, error of a fit that is none
 
 
 class Fit(NamedTuple):
-    """A sphere fitted to a fingertip.
-
-    Attributes:
-        center: In the frame of the tip link, shape (3,), m.
-        radius: In m.
-        error: Root mean square distance of the mesh from the sphere, m.
-    """
+    """A sphere in the frame of a tip link, with the root mean square error of its fit, m."""
 
     center: Array
     radius: float
@@ -41,9 +34,7 @@ class Fit(NamedTuple):
 def fitted_tips(config: HandConfig, description: str) -> tuple[list[FingerConfig], Array]:
     """Return the fingers with spheres in place of tips without a radius, and the errors, (k,), m.
 
-    Args:
-        config: The hand.
-        description: Its URDF with meshes.
+    The spheres are those of the URDF `description`, or fitted to its meshes.
 
     Raises:
         HandModelError: If a tip has neither radius nor sphere nor mesh, or no sphere fits.
@@ -66,14 +57,10 @@ def fitted_tips(config: HandConfig, description: str) -> tuple[list[FingerConfig
 
 
 def fit_tip(points: Array, axis: Array) -> Fit:
-    """Fit a sphere to the end of a surface.
+    """Fit a sphere to points of a surface, shape (n, 3), m, at its end along an axis, shape (3,).
 
     The points on the far side of the sphere's own middle, along the axis, are chosen again after
     each least-squares fit.
-
-    Args:
-        points: On the surface, shape (n, 3), m.
-        axis: From the middle of the link to its end, shape (3,).
     """
     heights = points @ (axis / np.linalg.norm(axis))
     chosen = heights > heights.max() - _END * np.ptp(heights)
@@ -119,6 +106,11 @@ def _points(root: Element, finger: FingerConfig, file: Path) -> Array:
         f"finger '{finger.name}' has no radius, and its tip link '{finger.tip}' has neither a "
         "sphere nor a mesh to fit one to; give 'radius' and 'center' in the hand's YAML"
     )
+
+
+def three_numbers(element: Element | None, key: str, default: str = "0 0 0") -> Array:
+    text = default if element is None else element.get(key, default)
+    return np.array(text.split(), dtype=float)
 
 
 def _mesh_file(name: str, file: Path) -> Path:

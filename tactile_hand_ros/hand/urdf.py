@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import itertools
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -10,7 +11,7 @@ from xml.etree.ElementTree import Element
 
 import numpy as np
 
-from tactile_hand_ros.config.hand_config import Coupling, HandConfig, MountConfig
+from tactile_hand_ros.config.hand_config import Coupling, HandConfig
 from tactile_hand_ros.config.plain_yaml import read_text
 from tactile_hand_ros.errors import ConfigurationError, HandModelError
 from tactile_hand_ros.hand.extract import cut_at_palm, moved_links, place_joint, take_hand
@@ -32,11 +33,7 @@ _OF_JOINTS = {
 
 
 def describe(config: HandConfig, layout: str = "") -> tuple[str, dict[str, Coupling]]:
-    """Return the URDF of a hand alone, and its couplings by the joint that follows.
-
-    Args:
-        config: The hand.
-        layout: Which fixed joints are moved; empty for the default layout.
+    """Return the URDF of a hand in a layout, and its couplings by the joint that follows.
 
     Raises:
         HandModelError: If the file is not the URDF of a hand, or lacks a link or joint.
@@ -44,7 +41,14 @@ def describe(config: HandConfig, layout: str = "") -> tuple[str, dict[str, Coupl
     path = config.file
     root = read_urdf(path, config.palm, any_inertia=config.any_inertia)
     couplings = take_hand(root, config, path.name)
-    _move(root, config.layout(layout), path.name)
+    joints = {j.get("name"): j for j in root.iter("joint") if j.get("type") == "fixed"}
+    for moved, mount in config.layout(layout).items():
+        if moved not in joints:
+            raise HandModelError(
+                f"the layout moves joint '{moved}', which is not a fixed joint of '{path.name}'; "
+                f"fixed joints: {', '.join(str(j) for j in joints)}"
+            )
+        place_joint(joints[moved], mount.xyz, mount.rpy)
     try:
         return ElementTree.tostring(root, encoding="unicode"), couplings
     except RecursionError:
@@ -52,15 +56,11 @@ def describe(config: HandConfig, layout: str = "") -> tuple[str, dict[str, Coupl
 
 
 def read_urdf(path: Path, palm: str = "", *, any_inertia: bool = False) -> Element:
-    """Read a URDF and check it.
-
-    Args:
-        path: The file.
-        palm: Link; what does not hang on it is left out. By default all is kept.
-        any_inertia: Whether to accept links with an inertia that is physically impossible.
+    """Read a URDF behind its palm, or all of it, and check it.
 
     Raises:
-        HandModelError: If the file is not a URDF, lacks the palm, or has impossible numbers.
+        HandModelError: If the file is not a URDF, lacks the palm, or has impossible numbers; an
+            impossible inertia is kept with `any_inertia`.
     """
     root = _parsed(path)
     links = len(root.findall("link"))
@@ -74,14 +74,7 @@ def read_urdf(path: Path, palm: str = "", *, any_inertia: bool = False) -> Eleme
 
 
 def finger_weight(config: HandConfig) -> float:
-    """Return the weight of a hand without its palm per finger, N.
-
-    Args:
-        config: The hand.
-
-    Raises:
-        HandModelError: If the URDF cannot be read.
-    """
+    """Return the weight of a hand without its palm per finger, N, without loading Pinocchio."""
     root = ElementTree.fromstring(describe(config)[0])
     links = (link for link in root.findall("link") if link.get("name") != config.palm)
     masses = (link.find("inertial/mass") for link in links)
@@ -95,27 +88,21 @@ def _parsed(path: Path) -> Element:
         if "<!DOCTYPE" in text:  # a few entities can stand for gigabytes
             raise HandModelError(f"'{path}' declares a DOCTYPE; expected a URDF, which has none")
         root = ElementTree.fromstring(text)
-        if root.tag == "mujoco":
-            from tactile_hand_ros.hand.mjcf import urdf_of_mjcf  # loads Pinocchio
-
-            return urdf_of_mjcf(path)
+        if any("xacro}" in element.tag for element in root.iter()):
+            raise ElementTree.ParseError("it has xacro elements")
     except ConfigurationError as error:
         raise HandModelError(
             f"cannot use the hand's URDF {str(error).rstrip('.')}; correct 'urdf' in its YAML"
         ) from None
     except ElementTree.ParseError as error:
-        if "<xacro:" in text:
-            raise _not_expanded(path) from None
-        raise HandModelError(f"'{path}' is not valid XML: {error}; expected a URDF") from error
-    if any("xacro}" in element.tag for element in root.iter()):
-        raise _not_expanded(path)
+        raise HandModelError(
+            f"'{path}' is not a URDF: {error}; expand a xacro file with `xacro {path.name}`"
+        ) from error
+    if root.tag == "mujoco":
+        from tactile_hand_ros.hand.mjcf import urdf_of_mjcf  # loads Pinocchio
+
+        return urdf_of_mjcf(path)
     return root
-
-
-def _not_expanded(path: Path) -> HandModelError:
-    return HandModelError(
-        f"'{path}' has xacro elements; expand it with `xacro {path.name} > hand.urdf` and use that"
-    )
 
 
 def _check_numbers(root: Element, name: str, any_inertia: bool) -> None:
@@ -169,13 +156,8 @@ def _check_inertia(link: Element, name: str, any_inertia: bool) -> None:
     if moments[0] < -1e-9 * np.abs(moments).max():
         raise _wrong(link, name, wrong, "none below 0 kg m^2")
     if not any_inertia and moments[2] > moments[0] + moments[1] + _PRINTED * moments[2]:
-        raise _wrong(
-            link,
-            name,
-            wrong,
-            "none above the sum of the other two",
-            "correct the URDF, or keep it with 'any_inertia: true' in the hand's YAML",
-        )
+        advice = "correct the URDF, or keep it with 'any_inertia: true' in the hand's YAML"
+        raise _wrong(link, name, wrong, "none above the sum of the other two", advice)
 
 
 def _numbers(
@@ -187,22 +169,17 @@ def _numbers(
         HandModelError: If one is not a number, not finite or far too large.
     """
     for tag, attributes in places.items():
-        for element in parent.findall(tag):
-            for attribute in attributes:
-                for word in element.get(attribute, "").split():
-                    yield tag, attribute, _number(word, f"{tag} {attribute}", parent, name)
-
-
-def _number(word: str, place: str, parent: Element, name: str) -> float:
-    try:
-        value = float(word)
-    except ValueError:
-        value = np.nan
-    if not abs(value) <= _LARGEST_NUMBER:
-        raise _wrong(
-            parent, name, f"{place} has '{word[:40]}'", f"a number of at most {_LARGEST_NUMBER:g}"
-        )
-    return value
+        for element, attribute in itertools.product(parent.findall(tag), attributes):
+            for word in element.get(attribute, "").split():
+                try:
+                    value = float(word)
+                except ValueError:
+                    value = np.nan
+                if not abs(value) <= _LARGEST_NUMBER:
+                    found = f"{tag} {attribute} has '{word[:40]}'"
+                    expected = f"a number of at most {_LARGEST_NUMBER:g}"
+                    raise _wrong(parent, name, found, expected)
+                yield tag, attribute, value
 
 
 def _wrong(
@@ -210,14 +187,3 @@ def _wrong(
 ) -> HandModelError:
     label = f"{parent.tag} '{parent.get('name')}'"
     return HandModelError(f"'{name}', {label}: {found}, expected {expected}; {advice}")
-
-
-def _move(root: Element, layout: Mapping[str, MountConfig], name: str) -> None:
-    joints = {j.get("name"): j for j in root.iter("joint") if j.get("type") == "fixed"}
-    for moved, mount in layout.items():
-        if moved not in joints:
-            raise HandModelError(
-                f"the layout moves joint '{moved}', which is not a fixed joint of '{name}'; "
-                f"fixed joints: {', '.join(str(j) for j in joints)}"
-            )
-        place_joint(joints[moved], mount.xyz, mount.rpy)

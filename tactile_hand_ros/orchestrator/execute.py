@@ -77,10 +77,7 @@ def _checked(options: RunOptions) -> Scenario:
     """Load a scenario and check that it can work."""
     own = {"duration": options.duration, "plant.pacing": options.pacing}
     given = {key: value for key, value in own.items() if value is not None}
-    changes = parse_changes(options.changes)
-    labels = {key: f"--set {key}" for key in changes}
-    labels |= {key: f"--{key.rpartition('.')[2]}" for key in given}
-    scenario = load_scenario(options.wanted, {**given, **changes}, labels)
+    scenario = load_scenario(options.wanted, {**given, **parse_changes(options.changes)})
     check_scenario(scenario)
     return scenario
 

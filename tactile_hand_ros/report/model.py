@@ -12,8 +12,8 @@ import pinocchio as pin
 
 from tactile_hand_ros.config.hand_config import load_hand_config
 from tactile_hand_ros.errors import HandModelError, TactileHandError
-from tactile_hand_ros.hand.extract import three_numbers
 from tactile_hand_ros.hand.hand import Hand
+from tactile_hand_ros.hand.tip_fit import three_numbers
 from tactile_hand_ros.report import style
 from tactile_hand_ros.rotations import quaternion_from_rotation
 from tactile_hand_ros.run.result import RunData

@@ -50,7 +50,7 @@ def scenario_of(key: str, layout: str, duration: float | None = None) -> Scenari
     """Return the scenario of an experiment; ConfigurationError if layout or duration is invalid."""
     name, others = EXPERIMENTS[key]
     changes = {"layout": layout, **others, **({} if duration is None else {"duration": duration})}
-    return load_scenario(name, changes, {"layout": "--layout", "duration": "--duration"})
+    return load_scenario(name, changes)
 
 
 Outcomes = Mapping[str, ExperimentRun]

@@ -6,9 +6,8 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeGuard
 
-from tactile_hand_ros.config.paths import scenario_names
 from tactile_hand_ros.config.plain_yaml import SUFFIXES, find_file, read_yaml
 from tactile_hand_ros.errors import ConfigurationError
 from tactile_hand_ros.own_law import folder_of
@@ -16,7 +15,6 @@ from tactile_hand_ros.own_law import folder_of
 _NOT_INHERITED = ("name", "description")  # they describe the extended scenario
 CONTROLLER = "manipulation_controller"
 _LAW = f"{CONTROLLER}.law"
-_MESH = "plant.object.mesh"
 
 
 def read_layers(path: Path, seen: tuple[Path, ...] = ()) -> dict[str, Any]:
@@ -30,15 +28,11 @@ def read_layers(path: Path, seen: tuple[Path, ...] = ()) -> dict[str, Any]:
     if path in seen:
         raise ConfigurationError(f"{seen[-1]}: 'extends' makes a loop: {chain}; remove one of them")
     data = read_yaml(path)
-    if not isinstance(data, dict):
+    if not data or not isinstance(data, dict):
         raise ConfigurationError(
-            f"'{path}' holds {type(data).__name__}; expected a mapping of keys to values"
+            f"{path}: expected keys with values; write `extends: paper` to run the scenario `paper`"
         )
-    if not data:
-        raise ConfigurationError(
-            f"{path}: the file is empty; write `extends: paper` to run the scenario `paper`"
-        )
-    data = _complete(data, path)
+    _complete(data, path)
     base = data.pop("extends", None)
     if base is None:
         return data
@@ -51,55 +45,48 @@ def read_layers(path: Path, seen: tuple[Path, ...] = ()) -> dict[str, Any]:
 
 
 def _find_base(base: str, path: Path) -> Path:
-    """Return the scenario that another extends: a file next to it, else one of the package.
+    """Return the scenario that another extends: another file next to it, else one of the package.
 
     A user's ``paper.yaml`` may extend ``paper``, which is then the one of the package.
     """
-    beside = path.parent / os.path.expanduser(base if base.endswith(SUFFIXES) else f"{base}.yaml")
-    is_itself = beside.resolve() == path
-    if base.endswith(SUFFIXES):
-        return beside if beside.is_file() else find_file("scenario", str(beside))
-    if beside.is_file() and not (is_itself and base in scenario_names()):
+    is_file = base.endswith(SUFFIXES)
+    beside = path.parent / os.path.expanduser(base if is_file else f"{base}.yaml")
+    if beside.is_file() and beside.resolve() != path:
         return beside
-    return find_file("scenario", base)
+    return find_file("scenario", str(beside) if is_file else base)
 
 
-def _complete(data: dict[str, Any], path: Path) -> dict[str, Any]:
-    """Return a scenario with paths relative to its file resolved: hand, mesh and own law.
+def _complete(data: dict[str, Any], path: Path) -> None:
+    """Resolve what is relative to a scenario's file: hand, mesh and own law.
 
     A ``law`` at the top level is short for that of the controller, and ``law: NAME`` for
-    ``law: {name: NAME}``.
+    ``law: {name: NAME}``. Validation reports sections that are not mappings.
     """
-    data = dict(data)
-    if isinstance(hand := data.get("hand"), str):
-        data["hand"] = _beside(hand, path.parent)
-    plant = data.get("plant")
-    body = plant.get("object") if isinstance(plant, dict) else None
-    if isinstance(plant, dict) and isinstance(body, dict) and isinstance(body.get("mesh"), str):
-        data["plant"] = {**plant, "object": {**body, "mesh": _mesh(body["mesh"], path.parent)}}
-    section = data.get(CONTROLLER, {})
-    if not isinstance(section, dict) or "law" not in {*data, *section}:
-        return data  # validation reports the error
+    plant, section = data.get("plant"), data.get(CONTROLLER, {})
+    for place, key in ((data, "hand"), (plant.get("object") if _is_map(plant) else {}, "mesh")):
+        if _is_map(place) and key in place:
+            place[key] = _beside(place[key], path.parent)
+    if not _is_map(section) or "law" not in {*data, *section}:
+        return
     if "law" in data and "law" in section:
         raise ConfigurationError(f"{path}: 'law' is given twice, at the top and in '{CONTROLLER}'")
     law = data.pop("law") if "law" in data else section["law"]
     law = {"name": law} if isinstance(law, str) else law
-    if isinstance(law, dict) and isinstance(law.get("name"), str):
+    if _is_map(law) and isinstance(law.get("name"), str):
         law = {"folder": folder_of(law["name"], path.parent), **law}
     data[CONTROLLER] = {**section, "law": law}
-    return data
 
 
-def _beside(hand: str, folder: Path) -> str:
-    """Return a hand's file as an absolute path; names of hands stay unchanged."""
-    if not hand.endswith(SUFFIXES) or hand.startswith("~"):
-        return hand
-    return os.path.normpath(folder.resolve() / hand)
+def _is_map(value: Any) -> TypeGuard[dict[str, Any]]:
+    return isinstance(value, dict)
 
 
-def _mesh(file: str, folder: Path) -> str:
-    """Return the absolute path of a mesh; empty stays empty."""
-    return os.path.normpath(folder.resolve() / os.path.expanduser(file)) if file else ""
+def _beside(file: Any, folder: Path) -> Any:
+    """Return the absolute path of a file relative to a folder; names without suffix stay."""
+    if not isinstance(file, str) or not Path(file).suffix:
+        return file
+    home = os.path.expanduser(file)  # unchanged if there is no such user
+    return home if file.startswith("~") else os.path.normpath(folder.resolve() / file)
 
 
 def merged(under: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
@@ -112,31 +99,24 @@ def merged(under: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
     return out
 
 
-def put_changes(data: dict[str, Any], changes: Mapping[str, Any]) -> dict[str, str]:
+def put_changes(data: dict[str, Any], changes: Mapping[str, Any]) -> None:
     """Put values into `data` by dotted key; files are relative to the working directory.
-
-    Returns:
-        The key of `changes` by the place that it sets.
 
     Raises:
         ConfigurationError: If a path leads through a value that has no keys.
     """
-    here, places = Path.cwd(), {}
+    here = Path.cwd()
     # The hand first: a layout that is set together with it must stay.
     for key, value in sorted(changes.items(), key=lambda pair: pair[0] != "hand"):
         place = f"{CONTROLLER}.{key}" if key.split(".")[0] == "law" else key
-        if place == "hand" and isinstance(value, str):
+        if place in ("hand", "plant.object.mesh"):
             value = _beside(value, here)
-            data.pop("layout" if value != data.get("hand") else "", None)
-        if place == _MESH and isinstance(value, str):
-            value = _mesh(value, here)
-        if place == _LAW and isinstance(value, str):
-            place = f"{_LAW}.name"
-        if place == f"{_LAW}.name" and isinstance(value, str):
+        if place == "hand" and value != data.get("hand"):
+            data.pop("layout", None)
+        if place in (_LAW, f"{_LAW}.name") and isinstance(value, str):
             _put(data, f"{_LAW}.folder".split("."), folder_of(value, here))
+            place = f"{_LAW}.name"
         _put(data, place.split("."), value)
-        places[place] = key
-    return places
 
 
 def _put(data: dict[str, Any], keys: list[str], value: Any) -> None:

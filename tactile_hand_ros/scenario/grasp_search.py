@@ -99,23 +99,18 @@ def expected_friction(friction: float) -> float:
 
 
 def search(
-    hand: Hand, body: ObjectConfig, seed: int = 0, advance: Callable[[str], None] = lambda _: None
+    hand: Hand, body: ObjectConfig, advance: Callable[[str], None] = lambda _: None
 ) -> list[FoundGrasp]:
     """Return the grasps that were found, the one that carries most first.
 
     Those without room to move count less, and those whose fingers press beside the normals.
-
-    Args:
-        hand: The hand.
-        body: Shape, size and friction of the object.
-        seed: Seed of the random postures.
-        advance: Called after each start with what is tried; there are `number_of_starts`.
+    `advance` is called after each start with what is tried; there are `number_of_starts`.
 
     Raises:
         GraspError: If there is none, with the reasons that came up most.
     """
     relied, links = expected_friction(body.friction), LinkCollisions(hand, body.solid())
-    random, found, reasons = np.random.default_rng(seed), list[FoundGrasp](), list[str]()
+    random, found, reasons = np.random.default_rng(0), list[FoundGrasp](), list[str]()
     for alone, axis in _choices(hand, body):
         problem = (_Problem if body.shape == "box" else _RoundProblem)(hand, body, alone, axis)
         for _ in range(STARTS):
@@ -139,15 +134,10 @@ def search(
 
 
 def scenario_values(hand: str, body: ObjectConfig, found: FoundGrasp) -> dict[str, Any]:
-    """Return a scenario in which a hand holds the object, as it is written to a YAML file.
+    """Return a scenario in which a hand, by name or file, holds the object, as data for YAML.
 
     The grasp force starts at one and a half times what the weight needs, and stays inside what the
     joints bear and the regulator's own limit.
-
-    Args:
-        hand: Name or file of the hand.
-        body: Shape, size, friction and mass of the object.
-        found: The grasp.
     """
     needed = 9.81 * body.mass / (expected_friction(body.friction) - found.friction)
     largest = min(found.grasp_force, SlipRegulatorConfig.model_fields["maximum"].default)
@@ -223,11 +213,7 @@ class _Problem:
         return [i for i in range(3) if i != self._axis]
 
     def solve(self, random: Any, friction: float) -> FoundGrasp:
-        """Return a grasp from a random posture.
-
-        Raises:
-            GraspError: If it is none.
-        """
+        """Return a grasp from a random posture, or raise GraspError."""
         optimize = optional("scipy.optimize", "Searching for a grasp")
         theta = self._lower + random.uniform(0.2, 0.7, self._hand.joints) * self._span
         start = np.concatenate([theta, *self._placed(theta, random)])
@@ -263,8 +249,8 @@ class _Problem:
     def _facing(self, tips: Array, normals: Array) -> Array:
         """Return how far the finger that is alone is from facing the others, any shape.
 
-        Two contacts face each other through the center of mass, about whose line they resist no
-        turn.
+        Two contacts face each other through the center of mass, as they resist no turn about their
+        line.
         """
         if len(tips) == 2:
             return np.asarray(tips[:, self._across] / self._scale).ravel()
@@ -337,10 +323,18 @@ class _Problem:
         load = float(((hand.effort_limits - np.abs(hand.gravity_torque(theta))) / used).min())
         if load <= 0.0:
             raise GraspError("the joints cannot carry the fingers")
-        pose = x[-6:-3].copy(), vector_from_rotation(turn)
-        found = theta.copy(), *pose, contacts, needed, load / (friction - needed), left, load
-        motions = motions_of_object(hand, theta, contacts)
-        return FoundGrasp(*found, motions, press)
+        return FoundGrasp(
+            theta.copy(),
+            x[-6:-3].copy(),
+            vector_from_rotation(turn),
+            contacts,
+            friction=needed,
+            grasp_force=load / (friction - needed),
+            room=left,
+            load=load,
+            motions=motions_of_object(hand, theta, contacts),
+            press=press,
+        )
 
 
 class _RoundProblem(_Problem):

@@ -19,13 +19,8 @@ class LinkCollisions:
     """
 
     def __init__(self, hand: Hand, solid: Solid) -> None:
-        """Read the shapes of the hand's URDF.
-
-        Args:
-            hand: The hand; a hand whose meshes are missing has no shapes.
-            solid: The object.
-        """
-        self._hand, self._model, self._data = hand, hand.model, hand.model.createData()
+        """Read the shapes of the hand's URDF; a hand whose meshes are missing has none."""
+        self._hand, self._data = hand, hand.model.createData()
         folders, kind = [str(folder) for folder in hand.file.parents], pin.GeometryType.COLLISION
         try:
             geometry = pin.buildGeomFromUrdfString(
@@ -38,7 +33,11 @@ class LinkCollisions:
         self._links = {i: name for i, name in named.items() if name not in hand.tip_links}
         self.names = set(self._links.values())
         self._geometry, self._placed = geometry, geometry.createData()
-        self._object = _surface(solid)
+        self._object = coal.BVHModelOBBRSS()
+        self._object.beginModel(len(solid.vertices), len(solid.vertices))
+        for corners in solid.triangles():
+            self._object.addTriangle(*corners)
+        self._object.endModel()
 
     def touching(self, theta: Array, position: Array, rotation: Array) -> list[str]:
         """Return the names of links that intersect the object, each once.
@@ -48,7 +47,7 @@ class LinkCollisions:
             position: Origin of the object, palm frame, shape (3,), m.
             rotation: Its frame in the palm frame, shape (3, 3).
         """
-        moved = self._model, self._data, self._geometry, self._placed
+        moved = self._hand.model, self._data, self._geometry, self._placed
         pin.updateGeometryPlacements(*moved, self._hand.all_angles(theta))
         at, found = coal.Transform3s(rotation, position), dict[str, None]()
         for i, name in self._links.items():
@@ -59,13 +58,3 @@ class LinkCollisions:
             if coal.collide(shape, there, self._object, at, request, result):
                 found[name] = None
         return list(found)
-
-
-def _surface(solid: Solid) -> coal.CollisionGeometry:
-    """Return the surface of a solid as triangles."""
-    surface = coal.BVHModelOBBRSS()
-    surface.beginModel(len(solid.vertices), len(solid.vertices))
-    for corners in solid.triangles():
-        surface.addTriangle(*corners)
-    surface.endModel()
-    return surface

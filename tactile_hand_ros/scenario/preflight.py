@@ -57,7 +57,7 @@ def check_scenario(scenario: Scenario) -> None:
     _check_gains(scenario, grasp, plant.body_inertia)
     if law.name not in LAWS:
         grasp_force = scenario.slip_regulator.grasp_force
-        check_own_law(law, hand, LawInput(tips, contacts, optimal.forces, grasp_force))
+        _check_own_law(law, hand, LawInput(tips, contacts, optimal.forces, grasp_force))
 
 
 _Grasp = tuple[Hand, Array, Contacts]  # the fingers that touch, joint angles and contacts
@@ -155,12 +155,8 @@ def _check_mode(scenario: Scenario) -> None:
         )
 
 
-def check_own_law(config: LawConfig, hand: Hand, seen: LawInput) -> None:
-    """Call a user law once for its torques, before it holds anything.
-
-    Raises:
-        ConfigurationError: If it fails, or does not return a finite torque for each joint.
-    """
+def _check_own_law(config: LawConfig, hand: Hand, seen: LawInput) -> None:
+    """Call a user law once for its torques, before it holds anything."""
     try:
         law = law_of(config)(config, hand.radii)
         law.seen = seen

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from contextlib import suppress
 from typing import Any
 
@@ -29,10 +29,18 @@ _SHARED = ("hand", "layout", "gravity", "calibration", "seed", "duration")
 NODES = ("plant", "tactile_sensor", "slip_regulator", "force_optimizer", "manipulation_controller")
 
 
-class TargetConfig(Config):
+class _Event(Config):
+    time: float = param(0.0, "simulated time of the command", unit="s", ge=0.0)
+
+    @property
+    def stamp(self) -> int:
+        """The tick of the command, ns."""
+        return round(self.time * 1e9)
+
+
+class TargetConfig(_Event):
     """A desired pose and when it is commanded."""
 
-    time: float = param(0.0, "simulated time of the command", unit="s", ge=0.0)
     position: Vector | None = param(
         ..., "p_d of the contact centroid, palm frame; keep for that of the grasp then", unit="m"
     )
@@ -51,11 +59,6 @@ class TargetConfig(Config):
     def _kept(self, value: Vector | None) -> Vector | str:
         return "keep" if value is None else value
 
-    @property
-    def stamp(self) -> int:
-        """The tick of the command, ns."""
-        return round(self.time * 1e9)
-
     def target(self) -> Target:
         """Return position and orientation as arrays, NaN for kept ones."""
         position = np.full(3, np.nan) if self.position is None else np.array(self.position)
@@ -64,20 +67,14 @@ class TargetConfig(Config):
         return Target(position, rotation_from_vector(self.rotation))
 
 
-class UserForceConfig(Config):
+class UserForceConfig(_Event):
     """A grasp force requested by the user, and its time.
 
     `ClosedLoop` applies it at that very tick. Over ROS, the orchestrator sends it when the time has
     come, like a user, so it arrives a varying number of ticks later.
     """
 
-    time: float = param(0.0, "simulated time of the request", unit="s", ge=0.0)
     force: float = param(..., "k_f", unit="N", gt=0.0)
-
-    @property
-    def stamp(self) -> int:
-        """The tick of the request, ns."""
-        return round(self.time * 1e9)
 
 
 UNLIMITED_SLIP = 1.0
@@ -104,7 +101,7 @@ class Scenario(Config):
     gravity: Vector = param((0.0, 0.0, 0.0), "acceleration of gravity, palm frame", unit="m/s^2")
     calibration: CalibrationConfig = CalibrationConfig()
     duration: float = param(10.0, "simulated time of the run", unit="s", gt=0.0, le=86400.0)
-    seed: int = param(1, "seed of everything random", ge=0)
+    seed: int = param(1, "seed of everything random", ge=0, le=2**63 - 1)
     targets: list[TargetConfig] = param([], "desired poses over time")
     user_forces: list[UserForceConfig] = param([], "grasp forces that the user asks for over time")
     goal: GoalConfig = GoalConfig()
@@ -179,15 +176,15 @@ class Scenario(Config):
     def changed(self, changes: Mapping[str, Any]) -> Scenario:
         """Return a validated copy with other values, by dotted key (``plant.rate``).
 
-        A law named in the changes is imported; one named only in the scenario is not.
+        A user law is imported if the changes concern the controller, otherwise not.
 
         Raises:
             ConfigurationError: If a key or value is wrong; names it.
         """
         data = plain(self)
-        places = put_changes(data, changes)
-        wanted = validate(Scenario, data, _source("the changed scenario", places, {}))
-        if any(_overlap(f"{CONTROLLER}.law.name", place) for place in places):
+        put_changes(data, changes)
+        wanted = validate(Scenario, data, "the changed scenario")
+        if any(key.split(".")[0] in ("law", CONTROLLER) for key in changes):
             take_law(wanted.manipulation_controller.law)
         return wanted
 
@@ -263,48 +260,25 @@ def resolved(scenario: Scenario) -> str:
     return yaml_text(plain(scenario))
 
 
-def load_scenario(
-    name: str, changes: Mapping[str, Any] | None = None, options: Mapping[str, str] | None = None
-) -> Scenario:
+def load_scenario(name: str, changes: Mapping[str, Any] | None = None) -> Scenario:
     """Load a scenario by name or path, and its user law if it names one.
 
     Args:
         name: Name of a scenario of the package, or path of a YAML file.
         changes: Values that replace those of the file, by dotted key (``plant.rate``).
-        options: How the user gave each change, for error texts, such as ``--set KEY``.
 
     Raises:
         ConfigurationError: If it does not exist, or a key or value is wrong; names its place.
     """
-    path = find_file("scenario", name)
+    path, changes = find_file("scenario", name), changes or {}
     data = read_layers(path)
     data.setdefault("name", path.stem)
-    places = put_changes(data, changes or {})
-    scenario = validate(Scenario, data, _source(str(path), places, options or {}))
-    _check_times(scenario, str(path), changes or {})
+    put_changes(data, changes)
+    source = f"{path} with changes of {', '.join(changes)}" if changes else str(path)
+    scenario = validate(Scenario, data, source)
+    _check_times(scenario, str(path), changes)
     take_law(scenario.manipulation_controller.law)
     return scenario
-
-
-def _source(
-    file: str, changed: Mapping[str, str], options: Mapping[str, str]
-) -> Callable[[str], str]:
-    """Return a function that names the source of the value at a place: the file or an option.
-
-    An error of the scenario as a whole may come from either.
-    """
-
-    def source(place: str) -> str:
-        keys = [key for at, key in changed.items() if _overlap(place, at)]
-        return ", ".join(options.get(key, f"the change of {key}") for key in keys) or file
-
-    return source
-
-
-def _overlap(place: str, key: str) -> bool:
-    """Return whether one of two places is part of the other."""
-    at, of = place.replace("[", ".").replace("]", "") + ".", f"{key}."
-    return bool(place) and (at.startswith(of) or of.startswith(at))
 
 
 def _check_times(scenario: Scenario, file: str, changes: Mapping[str, Any]) -> None:

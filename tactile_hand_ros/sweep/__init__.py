@@ -27,13 +27,10 @@ def run(
         scenario: Name or file.
         over: Parameters as on the command line, such as ``plant.object.mass=0.05..0.5``.
         changes: Values that stay the same, by dotted key.
-        folder: Folder of the results; an unfinished sweep in it is continued.
+        folder: For the results; an unfinished sweep in it is continued.
         runs: Number of runs, if a parameter is a range without levels.
         seed: Seed of everything random.
         jobs: Number of processes, -1 for one on each core.
-
-    Returns:
-        The table: ``column(name)``, ``fractions()`` and ``medians()``.
 
     Raises:
         TactileHandError: If a name, path, range or value is invalid.

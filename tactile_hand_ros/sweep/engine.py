@@ -42,12 +42,12 @@ class Point:
 
 @dataclass(frozen=True)
 class Study:
-    """A description of many runs.
+    """Many runs of a function of a point, which is pickled and called in other processes.
 
     Attributes:
         space: The varied parameters.
-        run: Function of a point; pickled, and called in other processes.
-        runs: Number of runs, if a parameter has no levels.
+        run: The function.
+        runs: Number of runs, if a parameter is a range.
         seed: Seed of the points and of all runs.
         description: Other properties that identify the study, plain data for JSON.
     """
@@ -70,13 +70,9 @@ class Study:
         return Point(index, seed, {name: p.value(fraction) for (name, p), fraction in pairs})
 
     def results(self, indices: Iterable[int]) -> Iterator[tuple[Point, Any]]:
-        """Execute some runs and yield each with its result, in any order.
+        """Yield some runs with their results as `in_parallel` does, in any order.
 
         A run that fails yields its reason, with the outcome `FAILED`, and does not stop the others.
-
-        Raises:
-            MissingLibraryError: If joblib is not installed.
-            StudyError: If processes die.
         """
         attempt = functools.partial(_attempt, self.run)
         yield from in_parallel(attempt, map(self.point, indices), ordered=False)
@@ -119,11 +115,6 @@ def in_parallel(
         ) from None
 
 
-def _ignore_interrupts() -> None:
-    """Leave Ctrl-C to the parent process."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-
-
 @contextlib.contextmanager
 def workers(jobs: int = -1, cluster: str = "") -> Iterator[None]:
     """Choose where `in_parallel` runs inside the context.
@@ -138,7 +129,9 @@ def workers(jobs: int = -1, cluster: str = "") -> Iterator[None]:
     """
     joblib = optional("joblib", "Running on several cores")
     if not cluster:
-        with joblib.parallel_config("loky", n_jobs=jobs, initializer=_ignore_interrupts):
+        ignore = (signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the parent process
+        options = {"initializer": signal.signal, "initargs": ignore}
+        with joblib.parallel_config("loky", n_jobs=jobs, **options):
             yield
         return
     distributed = optional("distributed", "Running on a Dask cluster")

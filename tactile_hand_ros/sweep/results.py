@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -27,7 +27,7 @@ def rank(ordered: Array, fraction: float) -> Any:
     return ordered[max(0, math.ceil(fraction * len(ordered)) - 1)]
 
 
-def fraction_of(count: int, n: int) -> tuple[float, float, float]:
+def fraction_of(count: int, n: int) -> Interval:
     """Return count / n with its 95 % interval.
 
     Source: Wilson, Probable inference, the law of succession, and statistical inference, 1927.
@@ -39,7 +39,7 @@ def fraction_of(count: int, n: int) -> tuple[float, float, float]:
     return count / n, float(interval.low), float(interval.high)
 
 
-def median_interval(values: Array) -> tuple[float, float, float]:
+def median_interval(values: Array) -> Interval:
     """Return the median of a sample, shape (n,), with its 95 % bootstrap interval; NaN is ignored.
 
     No resampling is needed for large samples: the median of a resample is the order statistic x_(j)
@@ -85,18 +85,14 @@ class Results:
         return [(n, int(np.isfinite(c).sum()), median_interval(c)) for n, c in columns.items()]
 
 
-SUMMARY = "summary.md"
-
-
 def summary_tables(results: Results) -> list[tuple[tuple[str, ...], list[list[str]]]]:
     """Return columns and rows of the outcomes and of the metrics, as text."""
     outcomes = [
-        [outcome, f"{count} of {runs}", *_texts(fraction, lambda x: f"{100 * x:.1f} %")]
+        [outcome, f"{count} of {runs}", *_texts([100.0 * x for x in fraction], "{:.1f} %")]
         for outcome, count, runs, fraction in results.fractions()
     ]
     metrics = [
-        [name, str(count), *_texts(median, lambda x: f"{x:.3g}")]
-        for name, count, median in results.medians()
+        [name, str(count), *_texts(median, "{:.3g}")] for name, count, median in results.medians()
     ]
     return [
         (("outcome", "runs", "fraction", "95 % interval"), outcomes),
@@ -112,11 +108,11 @@ def write_summary(results: Results, folder: Path) -> Path:
         f"Seed {study.seed}. Each row of `runs.csv` is a run.\n",
         *(tables.markdown(*table) for table in summary_tables(results)),
     ]
-    files.replace_text(folder / SUMMARY, "\n".join(text))
-    return folder / SUMMARY
+    file = folder / "summary.md"
+    files.replace_text(file, "\n".join(text))
+    return file
 
 
-def _texts(values: Sequence[float], text: Callable[[float], str]) -> tuple[str, str]:
-    if math.isnan(values[0]):
-        return "unknown", ""
-    return text(values[0]), f"{text(values[1])} to {text(values[2])}"
+def _texts(interval: Sequence[float], form: str) -> tuple[str, str]:
+    value, low, high = (form.format(number) for number in interval)
+    return ("unknown", "") if math.isnan(interval[0]) else (value, f"{low} to {high}")

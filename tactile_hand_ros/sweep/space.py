@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,34 +14,20 @@ from tactile_hand_ros.config.plain_yaml import parse_yaml
 from tactile_hand_ros.errors import ConfigurationError
 from tactile_hand_ros.extras import optional
 
+_MOST = 100_000  # whole numbers of a range, each of which is a run
 _FORMS = "LOW..HIGH, LOW..HIGH/LEVELS, LOW..HIGH:log or a list such as A,B,C"
 
 
 @dataclass(frozen=True)
 class Range:
-    """The numbers between two bounds.
-
-    Attributes:
-        low: Lower bound.
-        high: Upper bound, inclusive.
-        is_log: Whether the range is sampled uniformly in its logarithm.
-        is_whole: Whether only whole numbers are allowed.
-        levels: Number of values to try; 0 for any values in the range.
-    """
+    """The numbers from `low` to `high`, uniform in their logarithm if `is_log`."""
 
     low: float
     high: float
     is_log: bool = False
-    is_whole: bool = False
-    levels: int = 0
 
-    def value(self, fraction: float) -> float | int:
+    def value(self, fraction: float) -> float:
         """Return the value at a fraction of the range, 0 to 1."""
-        if self.levels:
-            fraction = min(int(fraction * self.levels), self.levels - 1) / (self.levels - 1)
-        if self.is_whole:
-            span = int(self.high) - int(self.low) + 1
-            return int(self.low) + min(int(fraction * span), span - 1)
         if self.is_log:
             return float(self.low * (self.high / self.low) ** fraction)
         return float(self.low + fraction * (self.high - self.low))
@@ -51,12 +37,7 @@ class Range:
 class Choice:
     """Some values with equal probability."""
 
-    values: tuple[Any, ...]
-
-    @property
-    def levels(self) -> int:
-        """Number of values."""
-        return len(self.values)
+    values: Sequence[Any]
 
     def value(self, fraction: float) -> Any:
         """Return the value at a fraction of the list, 0 to 1."""
@@ -71,7 +52,7 @@ Space = Mapping[str, Parameter]
 def parse_parameter(text: str, whole: Collection[str] = ()) -> tuple[str, Parameter]:
     """Read ``PATH=LOW..HIGH``, ``PATH=LOW..HIGH/LEVELS``, ``PATH=LOW..HIGH:log`` or ``PATH=A,B,C``.
 
-    `whole` lists the paths whose ranges contain whole numbers only.
+    A range of a path in `whole` is the choice of its whole numbers.
 
     Raises:
         ConfigurationError: If it is none of these, or the range or list is empty.
@@ -88,34 +69,39 @@ def parse_parameter(text: str, whole: Collection[str] = ()) -> tuple[str, Parame
     return path, Choice(tuple(found))
 
 
-def _range(refusal: str, text: str, is_whole: bool) -> Range:
+def _range(refusal: str, text: str, is_whole: bool) -> Parameter:
     bounds, _, kind = text.partition(":")
     bounds, _, levels = bounds.partition("/")
     low, _, high = bounds.partition("..")
     try:
-        found = Range(float(low), float(high), kind == "log", is_whole, int(levels or 0))
+        found, count = Range(float(low), float(high), kind == "log"), int(levels or 2)
     except ValueError:
         raise ConfigurationError(f"{refusal} {_FORMS}.") from None
     wrong = {
         _FORMS: kind not in ("", "log") or not np.isfinite([found.low, found.high]).all(),
         "the lower bound first": not found.low < found.high,
         "bounds above 0 with :log": found.is_log and found.low <= 0.0,
-        "2 or more levels": bool(levels) and found.levels < 2,
+        "2 or more levels": count < 2,
         "whole numbers": is_whole and not (found.low.is_integer() and found.high.is_integer()),
+        f"at most {_MOST} whole numbers": is_whole and found.high - found.low >= _MOST,
     }
     for expected, is_wrong in wrong.items():
         if is_wrong:
             raise ConfigurationError(f"{refusal} {expected}.")
-    return found
+    if levels:
+        steps = [found.value(i / (count - 1)) for i in range(count)]
+        return Choice(list(dict.fromkeys(map(round, steps))) if is_whole else steps)
+    return Choice(range(int(found.low), int(found.high) + 1)) if is_whole else found
 
 
 def points(space: Space, runs: int, seed: int) -> Array:
     """Return the runs of a study as points in the unit cube, shape (n, d).
 
-    These are all combinations if every parameter has levels, else a Latin hypercube.
+    These are all combinations if every parameter is a choice, else a Latin hypercube.
     """
-    shape = tuple(parameter.levels for parameter in space.values())
-    if all(shape):
+    choices = [each.values for each in space.values() if isinstance(each, Choice)]
+    if len(choices) == len(space):
+        shape = [len(values) for values in choices]
         combinations = np.indices(shape).reshape(len(shape), -1).T
         return np.asarray(combinations / np.maximum(1, np.array(shape) - 1))
     qmc = optional("scipy.stats.qmc", "Sampling a study")

@@ -91,12 +91,12 @@ def make_sweep(
     runs: int = 100,
     seed: int = 0,
 ) -> Study:
-    """Return a sweep as a study; check both ends of every parameter.
+    """Return a sweep as a study; check both ends of every range and each value of a list.
 
     The arguments are those of `sweep.run`; `fixed` are its `changes`.
 
     Raises:
-        ConfigurationError: If a name, path, range or value is invalid.
+        ConfigurationError: If a name, path, range or value is invalid, or set twice.
     """
     base = load_scenario(scenario, fixed)
     if not over:
@@ -104,9 +104,13 @@ def make_sweep(
             "nothing is varied; give --over such as --over plant.object.mass=0.05..0.5."
         )
     whole = {path for path, field in leaves(Scenario).items() if field.annotation is int}
-    space = dict(parse_parameter(each, whole) for each in over)
-    for path, parameter in space.items():
-        ends = map(parameter.value, (0.0, 1.0))
-        for value in parameter.values if isinstance(parameter, Choice) else ends:
+    parsed = [parse_parameter(each, whole) for each in over]
+    for path, parameter in parsed:
+        if [*fixed, *(name for name, _ in parsed)].count(path) > 1:
+            raise ConfigurationError(f"{path} is given twice; give it once, by --over or by --set.")
+        checked = [parameter.value(0.0), parameter.value(1.0)]
+        if isinstance(parameter, Choice) and not isinstance(parameter.values, range):
+            checked = [*parameter.values]
+        for value in checked:
             base.changed({path: value})
-    return Study(space, ScenarioRun(base), runs, seed, {"scenario": plain(base)})
+    return Study(dict(parsed), ScenarioRun(base), runs, seed, {"scenario": plain(base)})

@@ -10,7 +10,6 @@ from __future__ import annotations
 import csv
 import io
 import json
-import math
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, is_dataclass
 from pathlib import Path
@@ -51,27 +50,22 @@ def keep(study: Study, folder: Path, watch: Watch = lambda done, total: None) ->
         StudyError: If the folder holds another study or cannot be written, or processes die.
     """
     try:
-        _kept(study, folder, watch)
+        total, finished = len(study.fractions), _begin(study, folder)
+        left = [i for i in range(total) if i not in finished]
+        if left:
+            ensure_compiled()
+        try:
+            with (folder / ROWS).open("a", encoding="utf-8", buffering=1) as rows:  # line by line
+                for new, (point, result) in enumerate(study.results(left), 1):
+                    rows.write(json.dumps(_row(point, result)) + "\n")
+                    watch(len(finished) + new, total)
+        finally:
+            _write_table(folder)
     except OSError as error:
         raise StudyError(
             f"the results cannot be written to {folder} ({error.strerror or error}); "
             "make room there and repeat the command: what was written before is kept."
         ) from None
-
-
-def _kept(study: Study, folder: Path, watch: Watch) -> None:
-    total, finished = len(study.fractions), _begin(study, folder)
-    left = [i for i in range(total) if i not in finished]
-    if not left and (folder / TABLE).is_file():
-        return
-    ensure_compiled()
-    try:
-        with (folder / ROWS).open("a", encoding="utf-8", buffering=1) as rows:  # line by line
-            for new, (point, result) in enumerate(study.results(left), 1):
-                rows.write(json.dumps(_row(point, result)) + "\n")
-                watch(len(finished) + new, total)
-    finally:
-        _write_table(folder)
 
 
 def _begin(study: Study, folder: Path) -> set[int]:
@@ -86,7 +80,8 @@ def _begin(study: Study, folder: Path) -> set[int]:
     }
     text = json.dumps(content, indent=1) + "\n"
     if file.exists() or rows.exists():
-        _compare(_parsed(file), json.loads(text), folder)
+        before = json.loads(file.read_text("utf-8")) if file.exists() else {}
+        _compare(before, json.loads(text), folder)
     folder.mkdir(parents=True, exist_ok=True)
     files.replace_text(file, text)
     kept = rows.read_text("utf-8") if rows.is_file() else ""
@@ -96,35 +91,21 @@ def _begin(study: Study, folder: Path) -> set[int]:
     return {int(row[INDEX]) for row in _rows(folder)} if kept else set()
 
 
-def _parsed(file: Path) -> dict[str, Any]:
-    """Return the description of a study."""
-    try:
-        found = json.loads(file.read_text("utf-8"))
-        return found if isinstance(found, dict) else {}
-    except (FileNotFoundError, ValueError):  # then it differs from any study
-        return {}
-
-
 def _row(point: Point, result: Any) -> dict[str, Any]:
     row = {INDEX: point.index, "outcome": "", "reason": "", "seed": point.seed}
     for name, value in point.values.items():
-        row |= (
-            asdict(value) if is_dataclass(value) and not isinstance(value, type) else {name: value}
-        )
+        row |= asdict(value) if is_dataclass(value) else {name: value}  # type: ignore[arg-type]
     return {**row, **result}
 
 
 def _write_table(folder: Path) -> None:
     rows = _rows(folder)
-    text = io.StringIO()
-    writer = csv.DictWriter(
-        text, dict.fromkeys(name for row in rows for name in row), lineterminator="\n"
-    )
+    text, names = io.StringIO(), dict.fromkeys(name for row in rows for name in row)
+    writer = csv.DictWriter(text, names, lineterminator="\n")
     writer.writeheader()
     for row in rows:
-        writer.writerow(
-            {n: json.dumps(c) if isinstance(c, list | dict) else c for n, c in row.items()}
-        )
+        texts = {n: json.dumps(c) if isinstance(c, list | dict) else c for n, c in row.items()}
+        writer.writerow(texts)
     files.replace_text(folder / TABLE, text.getvalue())
 
 
@@ -161,13 +142,10 @@ def read_table(folder: Path) -> dict[str, NDArray[Any]]:
 
 def _column(cells: list[Any]) -> NDArray[Any]:
     kinds = {type(cell) for cell in cells}
-    if len(kinds) == 1 and kinds <= {bool, int}:
-        return np.array(cells)
     if kinds <= {bool, int, float, type(None)}:
-        return np.array([math.nan if cell is None else cell for cell in cells], dtype=float)
-    return np.array(
-        [c if isinstance(c, str | None) else json.dumps(c) for c in cells], dtype=object
-    )
+        return np.array(cells, dtype=None if kinds in ({bool}, {int}) else float)  # NaN for None
+    texts = [c if isinstance(c, str | None) else json.dumps(c) for c in cells]
+    return np.array(texts, dtype=object)
 
 
 def _compare(before: Mapping[str, Any], now: Mapping[str, Any], folder: Path) -> None:

@@ -307,7 +307,7 @@ def test_the_page_follows_a_graph_that_restarts(page: Page, hand: tuple[Graph, s
     page.js("report.source.run.columns.time.values[0] = -1")  # gone once the arrays start anew
     graph.kill("composed")
     page.wait(lambda: "silent" in page.js("return report.state.textContent"))
-    graph.start_composed()
+    graph.start("composed")
     page.wait(lambda: page.js("return report.source.run.columns.time.values[0]") >= 0.0)
     page.wait(lambda: page.js("return report.source.run.columns.time.rows") > 0)
     page.wait(lambda: page.js("return report.state.textContent") == "running")

@@ -5,6 +5,7 @@ from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import nnls
 
 from support.grasps import balance_in_frames
 from tactile_hand_ros.control.contact import Contacts
@@ -62,36 +63,10 @@ def contact_law_violation(
 
 
 def nearest_point(corners: Array, point: Array) -> Array:
-    """Return the nearest point of a convex hull by Wolfe's min-norm algorithm (1976).
+    """Return the nearest point of a convex hull, shape (3,), of corners, shape (v, 3).
 
-    `corners` has shape (v, 3); `point` has shape (3,) and lies outside the hull.
+    Source: Lawson and Hanson, Solving Least Squares Problems, 1974, section 23.4 (LDP by NNLS).
     """
-    arms = corners - point
-    used = [int(np.einsum("ij,ij->i", arms, arms).argmin())]
-    fractions = np.array([1.0])
-    for _ in range(200):
-        x = fractions @ arms[used]
-        heights = arms @ x
-        new = int(heights.argmin())
-        if heights[new] > x @ x - 1e-14 or new in used:
-            break
-        used, fractions = [*used, new], np.append(fractions, 0.0)
-        used, fractions = _affine_minimum(arms, used, fractions)
-    return fractions @ corners[used]
-
-
-def _affine_minimum(arms: Array, used: list[int], fractions: Array) -> tuple[list[int], Array]:
-    """Walk to the nearest point of the corners' affine hull, dropping corners that would pull."""
-    while True:
-        chosen = arms[used]
-        lhs = np.ones((len(used) + 1,) * 2)
-        lhs[0, 0], lhs[1:, 1:] = 0.0, chosen @ chosen.T
-        wanted = np.linalg.lstsq(lhs, np.eye(len(used) + 1)[0], rcond=None)[0][1:]
-        if (wanted > 1e-13).all():
-            return used, wanted
-        falling = wanted <= 1e-13
-        steps = fractions[falling] / np.maximum(fractions[falling] - wanted[falling], 1e-300)
-        fractions = fractions + min(1.0, float(steps.min())) * (wanted - fractions)
-        keep = fractions > 1e-13
-        used, fractions = [u for u, k in zip(used, keep, strict=True) if k], fractions[keep]
-        fractions = fractions / fractions.sum()
+    arms = (corners - point).T
+    weights, _ = nnls(np.vstack([arms, np.ones(len(corners))]), [0.0, 0.0, 0.0, 1.0])
+    return point + arms @ weights / weights.sum()

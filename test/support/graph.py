@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import signal
 from collections import Counter
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -52,6 +52,10 @@ class Health(NamedTuple):
     values: dict[str, str]
 
 
+def _xyz(vector: Any) -> tuple[float, float, float]:
+    return vector.x, vector.y, vector.z
+
+
 class Graph:
     """The five nodes of one scenario, started together and stopped when the context exits."""
 
@@ -79,11 +83,8 @@ class Graph:
     def __enter__(self) -> Graph:
         """Start everything and wait until all have matched each other."""
         try:
-            if self._composed:
-                self.start_composed()
-            else:
-                for name in NODES:
-                    self.start(name)
+            for name in ["composed"] if self._composed else NODES:
+                self.start(name)
             context = self._stack.enter_context(ros_context(domain=self._domain))
             self.node = Node("watcher", context=context, namespace=self.namespace)
             self._stack.callback(self.node.destroy_node)
@@ -105,17 +106,10 @@ class Graph:
         self._stack.close()
 
     def start(self, name: str) -> CapturedProcess:
-        """Start or restart a node with the parameters of the scenario."""
-        return self._launch(name, [name])
-
-    def start_composed(self) -> CapturedProcess:
-        """Start or restart all nodes in one process."""
-        return self._launch("composed", NODES)
-
-    def _launch(self, executable: str, nodes: Iterable[str]) -> CapturedProcess:
+        """Start or restart a node, or `composed`, with the parameters of the scenario."""
         arguments = ["-r", f"__ns:={self.namespace}"] if self.namespace else []
-        arguments += parameter_files(self.scenario, self._folder, nodes)
-        return self._enter(executable, *arguments)
+        nodes = NODES if name == "composed" else [name]
+        return self._enter(name, *arguments, *parameter_files(self.scenario, self._folder, nodes))
 
     def _enter(self, executable: str, *arguments: str) -> CapturedProcess:
         process = start_executable(executable, "--ros-args", *arguments)
@@ -209,20 +203,17 @@ class Graph:
 
     def position(self) -> Array:
         """Return the position of the object, shape (3,), m."""
-        point = self.newest(names.OBJECT_POSE).pose.position
-        return np.array([point.x, point.y, point.z])
+        return np.array(_xyz(self.newest(names.OBJECT_POSE).pose.position))
 
     @property
     def contacts(self) -> Array:
         """True contact points, shape (k, 3), m; NaN where a finger does not touch."""
-        points = [pose.position for pose in self.newest(names.TRUE_CONTACTS).poses]
-        return np.array([(point.x, point.y, point.z) for point in points])
+        return np.array([_xyz(pose.position) for pose in self.newest(names.TRUE_CONTACTS).poses])
 
     @property
     def forces(self) -> Array:
         """True contact forces, shape (k, 3), N."""
-        forces = [self.newest(topic).wrench.force for topic in self._wrenches]
-        return np.array([(force.x, force.y, force.z) for force in forces])
+        return np.array([_xyz(self.newest(topic).wrench.force) for topic in self._wrenches])
 
     def call(self, kind: Any, service: str, request: Any) -> Any:
         """Call a service of the hand and return its response."""

@@ -49,9 +49,9 @@ def _joint(name: str, kind: str, parent: str, child: str, xyz: str, rest: str = 
     )
 
 
-def _finger(name: str, joints: int, bearing: float, radius: float) -> str:
+def _finger(name: str, joints: int, bearing: float) -> str:
     """Write a finger that stands at `bearing` on a circle and bends about changing axes."""
-    place = f'xyz="{radius * math.cos(bearing)} {radius * math.sin(bearing)} 0" rpy="0 0 {bearing}"'
+    place = f'xyz="{LINK * math.cos(bearing)} {LINK * math.sin(bearing)} 0" rpy="0 0 {bearing}"'
     parts = [
         f'<link name="{name}_base"/>',
         _joint(f"{name}_mount", "fixed", "palm", f"{name}_base", place),
@@ -77,26 +77,12 @@ def _finger(name: str, joints: int, bearing: float, radius: float) -> str:
     return "".join(parts)
 
 
-def write_hand(
-    folder: Path,
-    joints: Sequence[int],
-    bearings: Sequence[float] = (),
-    radius: float = LINK,
-    **more: Any,
-) -> Path:
-    """Write a hand and return its YAML file.
-
-    Args:
-        folder: Output folder.
-        joints: Number of joints of each finger, 2 to 6.
-        bearings: Directions of the fingers, rad; evenly spread by default.
-        radius: Distance of the fingers' bases from the palm's z axis, m.
-        **more: Further keys of the YAML file.
-    """
+def write_hand(folder: Path, joints: Sequence[int], **more: Any) -> Path:
+    """Write a hand whose fingers have 2 to 6 joints each, with further keys, as a YAML file."""
     k = len(joints)
-    bearings = bearings or [2.0 * math.pi * i / k for i in range(k)]
     names = [f"f{i + 1}" for i in range(k)]
-    fingers = [_finger(*f, radius) for f in zip(names, joints, bearings, strict=True)]
+    bearings = [2.0 * math.pi * i / k for i in range(k)]
+    fingers = [_finger(*f) for f in zip(names, joints, bearings, strict=True)]
     urdf = f'<robot name="bench"><link name="palm"/>{"".join(fingers)}</robot>'
     (folder / "hand.urdf").write_text(urdf)
     config = {
@@ -134,15 +120,9 @@ def posture_for(hand: Hand, tips: Array) -> Array:
     return theta
 
 
-def prism_grasp(
-    folder: Path, joints: Sequence[int], height: float = 0.4, **more: Any
-) -> dict[str, Any]:
-    """Return a scenario whose fingers touch one side each of an upright prism.
-
-    `joints` is the number of joints of each finger, `height` that of the object over the palm, m,
-    `more` are further keys of the hand's file.
-    """
-    path, k, apothem = write_hand(folder, joints, **more), len(joints), 0.1
+def prism_grasp(folder: Path, joints: Sequence[int], **more: Any) -> dict[str, Any]:
+    """Return a scenario whose fingers, of `write_hand`, touch one side each of an upright prism."""
+    path, k, apothem, height = write_hand(folder, joints, **more), len(joints), 0.1, 0.4
     bearings = 2.0 * np.pi * np.arange(k) / k
     outward = np.stack([np.cos(bearings), np.sin(bearings), np.zeros(k)], axis=1)
     tips = (apothem + 0.02) * outward + [0.0, 0.0, height]

@@ -13,6 +13,7 @@ The constraint is not stabilized: the tolerance of the Dormand-Prince 8(5,3) met
 at the level of rounding errors, which the tests check.
 """
 
+import itertools
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -93,7 +94,8 @@ class Reference:
         lhs[n:, :n], lhs[:n, n:] = constraint, constraint.T
         rhs = np.concatenate([torque - self.data.nle, force_o, -bias])
         solution = np.linalg.solve(lhs, rhs)
-        turn = _quaternion_rate(s.spin, s.quaternion)
+        vector, scalar = s.quaternion[:3], s.quaternion[3]
+        turn = 0.5 * np.append(scalar * s.spin + np.cross(s.spin, vector), -s.spin @ vector)
         y_dot = np.concatenate(
             [s.rates, solution[:m], s.velocity, turn, solution[m : m + 3], solution[m + 3 : n]]
         )
@@ -107,10 +109,8 @@ class Reference:
             (3k, 6), and the rest, shape (3k,), m/s^2.
         """
         w, m, k, rotation = self.world, self.m, len(self.frames), rotation_of(s)
-        pin.forwardKinematics(self.model, self.data, s.theta, s.rates, np.zeros(m))
         pin.computeAllTerms(self.model, self.data, s.theta, s.rates)
         pin.forwardKinematics(self.model, self.data, s.theta, s.rates, np.zeros(m))
-        pin.computeJointJacobians(self.model, self.data, s.theta)
         pin.updateFramePlacements(self.model, self.data)
         hand, solid, bias = np.zeros((3 * k, m)), np.zeros((3 * k, 6)), np.zeros(3 * k)
         axes = pin.LOCAL_WORLD_ALIGNED
@@ -151,7 +151,7 @@ class Reference:
     ) -> tuple[Array, Array]:
         """Integrate over `times` and return states (len(times), n) and forces at them."""
         external = np.zeros(6) if wrench is None else wrench
-        y, states, forces = np.concatenate(start), [], []
+        states = [np.concatenate(start)]
 
         def rates_and_forces(t: float, y: Array) -> tuple[Array, Array]:
             torque = control(t, self.unpack(y), self.contacts(y))
@@ -160,21 +160,13 @@ class Reference:
         def rates(t: float, y: Array) -> Array:
             return rates_and_forces(t, y)[0]
 
-        for t, t_next in zip(times, [*times[1:], None], strict=True):
-            states.append(y)
-            forces.append(rates_and_forces(t, y)[1])
-            if t_next is not None:
-                way = (t, t_next)
-                y = solve_ivp(rates, way, y, method="DOP853", rtol=rtol, atol=1e-12).y[:, -1]
+        for way in itertools.pairwise(times):
+            found = solve_ivp(rates, way, states[-1], method="DOP853", rtol=rtol, atol=1e-12)
+            states.append(found.y[:, -1])
+        forces = [rates_and_forces(t, y)[1] for t, y in zip(times, states, strict=True)]
         return np.array(states), np.array(forces)
 
 
 def rotation_of(s: State) -> Array:
     """Return the rotation of the object, shape (3, 3)."""
     return pin.Quaternion(s.quaternion / np.linalg.norm(s.quaternion)).toRotationMatrix()
-
-
-def _quaternion_rate(spin: Array, quaternion: Array) -> Array:
-    """Return the derivative of a quaternion (x, y, z, w) under a spin in fixed axes, rad/s."""
-    vector, scalar = quaternion[:3], quaternion[3]
-    return 0.5 * np.append(scalar * spin + np.cross(spin, vector), -spin @ vector)

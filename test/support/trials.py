@@ -22,8 +22,3 @@ def deadly(point: Point) -> dict[str, Any]:
     if point.index == 3:
         os.kill(os.getpid(), signal.SIGKILL)
     return product(point)
-
-
-def broken(point: Point) -> dict[str, Any]:
-    """Fail with a bug."""
-    return {"xy_m": [][point.index], "outcome": "reached"}

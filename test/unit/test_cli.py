@@ -148,7 +148,7 @@ def test_a_namespace_without_a_hand_and_an_empty_name(run, capsys):
     [
         ("show papr", "did you mean 'paper'"),
         ("reproduce --layout=fist --out=x", "no layout 'fist'"),
-        ("reproduce --duration=nan --out=x", "--duration: duration is nan"),
+        ("reproduce --duration=nan --out=x", "duration is nan"),
         ("reproduce --jobs 0", "expected 1 or more processes"),
         ("frobnicate", "No such command 'frobnicate'"),
         ("show", "Missing argument"),

@@ -28,17 +28,13 @@ def table(heading: str) -> list[list[str]]:
 EQUATIONS = table("equation")
 
 
-def _above(folder: str) -> list[str]:
-    """Return the prefix of a folder's name; empty for folders next to the package."""
-    return [] if folder in ("bench", "studies") else [PACKAGE]
-
-
 def resolve(name: str) -> Any:
-    """Return the object of a dotted name below the package."""
+    """Return the object of a dotted name below the package, or next to it."""
     parts = name.split(".")
+    above = [] if parts[0] in ("bench", "studies") else [PACKAGE]
     for count in range(len(parts), 0, -1):
         try:
-            module = importlib.import_module(".".join([*_above(parts[0]), *parts[:count]]))
+            module = importlib.import_module(".".join([*above, *parts[:count]]))
         except ModuleNotFoundError:
             continue
         found: Any = module

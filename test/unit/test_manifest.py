@@ -48,15 +48,6 @@ def declared() -> list[Requirement]:
     ]
 
 
-def python_keys() -> dict[str, str]:
-    """Map each rosdep key for a Python library to its distribution name."""
-    return {
-        key: KEY_TO_DISTRIBUTION.get(key, key.removeprefix("python3-"))
-        for key in EXEC_DEPENDS
-        if key in KEY_TO_DISTRIBUTION or key.startswith("python3-")
-    }
-
-
 def test_versions_agree():
     stated = MANIFEST.findtext("version")
     assert version("tactile_hand_ros") == stated
@@ -71,7 +62,8 @@ def test_the_hosted_workflow_runs_make_test_and_nothing_else():
 
 
 def test_everything_required_reaches_a_ros_workspace():
-    from_rosdep = set(python_keys().values())
+    keys = ((key, key.removeprefix("python3-")) for key in EXEC_DEPENDS)
+    from_rosdep = {KEY_TO_DISTRIBUTION.get(key, name) for key, name in keys}
     from_pip = set(requirements("jazzy.txt"))
     needed = {canonicalize_name(each.name) for each in declared()}
     tested_with = set(requirements("dev.txt") | STUDIES)

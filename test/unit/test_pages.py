@@ -113,12 +113,6 @@ def test_the_tutorial_shows_what_its_commands_print(tmp_path, monkeypatch):
     assert (tmp_path / "runs" / "latest" / "report.html").is_file()
 
 
-def test_the_scenarios_page_shows_what_its_commands_print():
-    text = page("docs/how-to/scenarios.md")
-    check_agreement(tool.redrawn(text), text)
-    assert "\ngoal reached" in text
-
-
 @pytest.fixture
 def own_hand(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """Return the folder with the files of the page about your own hand, including the URDF."""
@@ -132,13 +126,13 @@ def own_hand(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return folder
 
 
-def test_the_page_about_ones_own_hand_shows_what_its_commands_print():
-    text = page("docs/tutorials/your-own-hand.md")
-    kept: list[Record] = []
+@pytest.mark.parametrize("name", ["how-to/scenarios.md", "tutorials/your-own-hand.md"])
+def test_a_page_shows_what_its_commands_print(name):
+    text, kept = page(f"docs/{name}"), list[Record]()
     check_agreement(tool.redrawn(text, lambda *run: kept.append(run[2])), text)
     assert "\ngoal reached" in text
-    [names] = re.findall(r"frame\[\[(.*?)\]\]", text)
-    assert set(re.findall(r'"([\w.]+)"', names)) <= set(columns(kept[0]))
+    for names in re.findall(r"frame\[\[(.*?)\]\]", text):
+        assert set(re.findall(r'"([\w.]+)"', names)) <= set(columns(kept[0]))
 
 
 def test_grippers_and_fingers_of_two_joints_hold_as_the_page_says(own_hand):
@@ -171,10 +165,6 @@ def test_the_python_of_a_page_runs(name, tmp_path, monkeypatch, capsys):
     if name == "README.md":
         assert printed.startswith("auto: goal reached") and "user: object dropped" in printed
         assert (tmp_path / "report.html").is_file()
-
-
-class NoMoreTicks(Exception):
-    """Ends the loop of the driver on the page."""
 
 
 @pytest.fixture
@@ -215,8 +205,7 @@ def test_the_drivers_loop_of_the_page_holds_the_joints(real_hand):
     told: list[str] = []
 
     def read_joints() -> tuple[Any, Any]:
-        if next(ticks, None) is None:
-            raise NoMoreTicks
+        next(ticks)
         return np.full(9, 0.1), np.full(9, 0.2)
 
     driver = {
@@ -227,7 +216,7 @@ def test_the_drivers_loop_of_the_page_holds_the_joints(real_hand):
         "publish_joint_hold": lambda _: None,
         "report": told.append,
     }
-    with pytest.raises(NoMoreTicks):
+    with pytest.raises(StopIteration):
         exec(fenced(real_hand, "python"), driver)
     assert len(applied) == 10 and all(np.isfinite(torque).all() for torque in applied)
     assert (applied[-1] != 0.0).any() and told[-1].endswith("; the joints are held")

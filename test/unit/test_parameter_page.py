@@ -11,11 +11,10 @@ from tactile_hand_ros.cockpit.config import CockpitConfig
 from tactile_hand_ros.config.model import leaves
 from tactile_hand_ros.nodes.driver_output import DriverOutputConfig
 from tactile_hand_ros.nodes.recorder.config import RecorderConfig
-from tactile_hand_ros.scenario.scenario import Scenario, TargetConfig
+from tactile_hand_ros.scenario.scenario import NODES, Scenario, TargetConfig
 
 PAGE = Path(__file__).parents[2] / "docs" / "reference" / "parameters.md"
 SHARED = ("hand", "layout", "gravity", "calibration", "seed", "duration")
-NODES = ("plant", "tactile_sensor", "slip_regulator", "force_optimizer", "manipulation_controller")
 MODELS = {name: Scenario.model_fields[name].annotation for name in NODES}
 MODELS["recorder"] = RecorderConfig
 MODELS["driver_output"] = DriverOutputConfig

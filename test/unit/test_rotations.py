@@ -34,17 +34,7 @@ def test_agrees_with_pinocchio_and_scipy(q):
     back = quaternion_from_rotation(rotation)
     theirs = Rotation.from_matrix(rotation).as_quat()
     assert min(np.abs(back - theirs).max(), np.abs(back + theirs).max()) < 1e-14
-
-
-@pytest.mark.parametrize("largest", range(4))
-@pytest.mark.parametrize("w", [0.01, -0.01, 0.3, -0.3])
-def test_each_component_may_be_the_largest(largest, w):
-    q = np.array([-0.2, 0.25, 0.3, w])
-    q[largest] = 2.0 if largest < 3 else 2.0 * np.sign(w)
-    q /= np.linalg.norm(q)
-    expected = q if q[3] > 0.0 else -q
-    found = quaternion_from_rotation(Rotation.from_quat(q).as_matrix())
-    np.testing.assert_allclose(found, expected, atol=1e-15)
+    assert back[3] >= 0.0
 
 
 def test_nan_rows_stay_nan_and_leave_others_alone():

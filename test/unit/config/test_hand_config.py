@@ -23,10 +23,9 @@ def hand(names: list[str], **more: Any) -> HandConfig:
     ("fingers", "message"),
     [
         (["thumb"] * 3, "^fingers.0. is 'thumb', but should be a valid dictionary"),
-        (None, "^fingers is None, but should be a valid list.$"),
         ({"thumb": {"tip": "a"}}, "^fingers is {'thumb': {'tip': 'a'}}, but should be a"),
-        ([{"name": f"f{i}", "tip": "t", "radius": 0.1} for i in range(33)], "at most 32 items"),
-        ([{"name": f"f{i}", "tip": "t", "radius": 0.1} for i in range(1)], "at least 2 items"),
+        ([{"name": f"f{i}", "tip": "t"} for i in range(33)], "at most 32 items"),
+        ([{"name": "f", "tip": "t"}], "at least 2 items"),
     ],
 )
 def test_fingers_of_another_form_or_number_are_refused_in_one_sentence(fingers, message):
@@ -36,13 +35,10 @@ def test_fingers_of_another_form_or_number_are_refused_in_one_sentence(fingers, 
 
 
 @pytest.mark.parametrize("name", ["", "1a", "a-b", "a b", "é", "a" * 61, "a\n"])
-def test_a_name_that_is_no_part_of_a_topic_is_refused(name):
+def test_a_name_that_is_no_part_of_a_topic_or_given_twice_is_refused(name):
     with pytest.raises(ConfigurationError, match="is .*, but should match pattern"):
         hand([name, "b", "c"])
     hand(["a" * 60, "b", "c"])
-
-
-def test_names_must_differ():
     with pytest.raises(ConfigurationError, match="finger names must differ, got a, b, a"):
         hand(["a", "b", "a"])
 
@@ -55,22 +51,15 @@ def test_layouts_are_chosen_by_name_or_by_default():
     with pytest.raises(HandModelError, match="no layout 'tall'; use one of: wide, narrow"):
         config.layout("tall")
     assert hand(["a", "b", "c"], layouts=layouts).layout() == {}
-    with pytest.raises(ConfigurationError, match=r"'tall' is not one of the layouts \(wide, narr"):
-        hand(["a", "b", "c"], layouts=layouts, default_layout="tall")
-    with pytest.raises(ConfigurationError, match=r"'tall' is not one of the layouts \(none\)"):
-        hand(["a", "b", "c"], default_layout="tall")
 
 
 def test_a_hand_is_a_file_or_one_of_those_that_come_with_the_package(tmp_path, monkeypatch):
+    monkeypatch.setenv("HOME", str(tmp_path))
     for suffix in (".yaml", ".yml"):
         file = tmp_path / f"mine{suffix}"
-        file.write_text(
-            "urdf: a.urdf\nfingers:\n"
-            + "".join(f"- {{name: {n}, tip: {n}, radius: 0.01}}\n" for n in "abc")
-        )
+        file.write_text("urdf: a\nfingers: [{name: a, tip: a}, {name: b, tip: b}]")
         assert find_file("hand", str(file)) == file
         assert load_hand_config(str(file)).folder == tmp_path.resolve()
-        monkeypatch.setenv("HOME", str(tmp_path))
         assert find_file("hand", f"~/mine{suffix}") == file
         with pytest.raises(ConfigurationError, match="gone.* does not exist"):
             find_file("hand", str(tmp_path / f"gone{suffix}"))

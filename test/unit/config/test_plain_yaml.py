@@ -55,7 +55,7 @@ def test_only_short_files_of_text_are_read(tmp_path):
         ("/dev/zero", "it is larger than"),
         (tmp_path, "Is a directory"),
         (tmp_path / "gone", "No such file"),
-        (tmp_path / "half", "not UTF-8 text, see byte 2"),
+        (tmp_path / "half", "'utf-8' codec can't decode byte 0xed in position 2"),
         (tmp_path / "large", f"it is larger than {LARGEST} bytes"),
     ]:
         with pytest.raises(ConfigurationError, match=f"{path}: cannot be read: {reason}"):

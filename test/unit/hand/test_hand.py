@@ -11,15 +11,12 @@ from support.hands import (
     changed,
     kinetic_energy,
     potential_energy,
-    prism_grasp,
     tip_rotations,
     write_hand,
 )
 
-from tactile_hand_ros.closed_loop.loop import ClosedLoop
-from tactile_hand_ros.errors import ConfigurationError, HandModelError
+from tactile_hand_ros.errors import HandModelError
 from tactile_hand_ros.hand.hand import Hand
-from tactile_hand_ros.scenario.scenario import load_scenario
 
 START = np.tile([1.047, 0.0, 1.571], 3)
 STEP = 1e-6
@@ -35,11 +32,6 @@ def random_posture(hand, seed=0):
     """Return angles and rates without any symmetry."""
     random = np.random.default_rng(seed)
     return random.uniform(-1.2, 1.2, hand.joints), random.uniform(-2.0, 2.0, hand.joints)
-
-
-def orientation_of_tips(hand, theta):
-    """Return the rotations of the tip links, shape (k, 3, 3)."""
-    return tip_rotations(hand.description, [f"{name}_tip" for name in hand.finger_names], theta)
 
 
 def test_tips_of_the_paper_are_where_trigonometry_puts_them():
@@ -66,13 +58,6 @@ def test_second_joint_turns_across_the_first_link():
     )
 
 
-def test_pinch_layout_moves_the_bases():
-    tips = Hand.load("paper", "pinch").fingertips(START).positions
-    inward = Hand.load("paper").fingertips(START).positions[0, 0]
-    expected = [[0.08, inward], [-0.08, inward], [0.0, -inward]]
-    np.testing.assert_allclose(tips[:, :2], expected, atol=1e-12)
-
-
 def edited(tmp_path, old, new, file="hand.urdf"):
     """Write a valid hand with one text replaced; return its YAML file."""
     path = write_hand(tmp_path, [3, 3, 3])
@@ -90,7 +75,6 @@ def edited(tmp_path, old, new, file="hand.urdf"):
         ("hand.yaml", "urdf: hand.urdf", "urdf: hand.urdf\npalm: p", r"'p' is not .*palm, "),
         ("hand.urdf", 'type="revolute"', 'type="planar"', r"revolute or prismatic"),
         ("hand.yaml", "urdf: hand.urdf", "urdf: /dev/zero", r"/dev/zero.*larger.*correct 'urdf'"),
-        ("hand.yaml", "urdf: hand.urdf", 'urdf: "a\\0b"', r"cannot use.*correct 'urdf'"),
         ("hand.urdf", "<robot", "<!DOCTYPE a><robot", r"declares a DOCTYPE"),
         ("hand.urdf", "</robot>", "<a>" * 9999 + "</a>" * 9999 + "</robot>", r"nested too deeply"),
         ("hand.urdf", "</robot>", '<link name="x"/>' * 500 + "</robot>", r"links; at most 500"),
@@ -103,17 +87,6 @@ def edited(tmp_path, old, new, file="hand.urdf"):
 def test_a_broken_hand_is_explained(tmp_path, file, old, new, message):
     with pytest.raises(HandModelError, match=message):
         Hand.load(edited(tmp_path, old, new, file))
-
-
-def test_an_inertia_that_no_body_has_is_kept_where_the_hand_says_so(tmp_path):
-    path = write_hand(tmp_path, [3, 3, 3])
-    assert changed(path, (" ixx=", ' ixx="1" x='), any_inertia=True).joints == 9
-
-
-def test_angles_that_look_like_degrees_are_questioned(tmp_path):
-    bent = "urdf: hand.urdf\nlayouts: {bent: {f1_mount: {rpy: [0, 0, 90]}}}"
-    with pytest.raises(ConfigurationError, match=r"\[0, 0, 1.571\] if these are degrees"):
-        Hand.load(edited(tmp_path, "urdf: hand.urdf", bent, "hand.yaml"))
 
 
 def test_joints_may_be_named_like_the_palm_or_a_tip(tmp_path):
@@ -152,7 +125,8 @@ def test_tips_frames_and_dynamics_agree_however_they_are_asked_for(mixed):
     for found in (raw.centers, mixed.tip_positions(theta), mixed.fingertips(theta).positions):
         np.testing.assert_allclose(found, tips.positions, atol=1e-15)
     np.testing.assert_allclose(mixed.fingertips(theta).linear, tips.linear, atol=1e-15)
-    np.testing.assert_allclose(mixed.tip_rotations(theta), orientation_of_tips(mixed, theta))
+    expected = tip_rotations(mixed.description, mixed.tip_links, theta)
+    np.testing.assert_allclose(mixed.tip_rotations(theta), expected)
     before = bias.copy()
     mixed.dynamics(theta, 2.0 * rates)
     np.testing.assert_array_equal(bias, before)
@@ -165,32 +139,6 @@ def test_chains_have_a_place_for_each_joint_and_the_tip(mixed):
     for chain, base, tip in zip(chains, mixed.bases, mixed.tip_positions(theta), strict=True):
         np.testing.assert_allclose(chain[0], base, atol=1e-15)
         np.testing.assert_allclose(chain[-1], tip, atol=1e-15)
-
-
-def test_inertias_that_are_nearly_singular_are_refused(tmp_path):
-    """A link with a trillionth of the mass behind its joint makes the dynamics singular."""
-    path = write_hand(tmp_path, [3, 3, 3])
-    urdf = tmp_path / "hand.urdf"
-    text, count = urdf.read_text(), 0
-    for key in ("ixx", "iyy", "izz", "mass value"):
-        start = text.rindex(f'{key}="')
-        end = text.index('"', start + len(key) + 2)
-        text, count = text[:start] + f'{key}="1e-18"' + text[end + 1 :], count + 1
-    urdf.write_text(text)
-    assert count == 4
-    with pytest.raises(HandModelError, match="inertia matrix with the eigenvalue"):
-        Hand.load(str(path))
-
-
-def test_a_tip_on_the_first_link_grows_with_it(tmp_path):
-    """The numbering of bodies is irrelevant: only fixed bodies keep their place."""
-    mount = '<parent link="f1_link_{}"/><child link="f1_tip"/>'
-    path = edited(tmp_path, mount.format(3), mount.format(1))
-    plain, long = Hand.load(path), Hand.load(path, link_lengths=2.0)
-    theta, _ = random_posture(plain, 8)
-    reach, longer = (h.tip_positions(theta)[0] - h.bases[0] for h in (plain, long))
-    np.testing.assert_allclose(longer, 2.0 * reach, atol=1e-12)
-    assert np.linalg.norm(reach) == pytest.approx(0.3) == plain.spans[0]
 
 
 def test_weights_and_tips_are_those_of_the_posture_that_is_asked_for(mixed):
@@ -212,8 +160,12 @@ def test_a_joint_that_slides_makes_its_finger_longer_by_its_own_way(tmp_path):
 
 
 def test_links_and_tips_of_other_sizes_swing_with_longer_levers(tmp_path):
-    """With twice the lengths and the same masses, gravity has twice the lever at every joint."""
-    path, down = str(write_hand(tmp_path, [3, 4, 5])), np.array([0.0, 0.0, -9.81])
+    """With twice the lengths and the same masses, gravity has twice the lever at every joint.
+
+    One tip is on the first link: only fixed bodies keep their place.
+    """
+    mount, down = '<parent link="f1_link_{}"/><child link="f1_tip"/>', np.array([0.0, 0.0, -9.81])
+    path = edited(tmp_path, mount.format(3), mount.format(1))
     plain = Hand.load(path, gravity=down)
     long = Hand.load(path, gravity=down, link_lengths=2.0, tip_radii=1.5)
     theta, _ = random_posture(plain, 2)
@@ -223,6 +175,7 @@ def test_links_and_tips_of_other_sizes_swing_with_longer_levers(tmp_path):
     np.testing.assert_allclose(long.radii, 1.5 * plain.radii)
     reach, longer = (h.tip_positions(theta) - h.bases for h in (plain, long))
     np.testing.assert_allclose(longer, 2.0 * reach, atol=1e-12)
+    assert np.linalg.norm(reach[0]) == pytest.approx(0.3) == plain.spans[0]
 
 
 def test_inertias_count_against_each_other_and_not_in_kilograms(tmp_path):
@@ -244,11 +197,11 @@ COUPLED = {
 }
 
 
-def joint(name, parent, child, kind="revolute", inside=""):
+def joint(name, parent, child):
     limit = '<limit lower="0.25" upper="2" effort="1" velocity="1"/>'
     origin = '<origin xyz="0.1 -0.2 0.3" rpy="0.4 0.5 -0.6"/><axis xyz="0 0.6 0.8"/>'
     ends = f'<parent link="{parent}"/><child link="{child}"/>'
-    return f'<joint name="{name}" type="{kind}">{ends}{origin}{limit}{inside}</joint>'
+    return f'<joint name="{name}" type="revolute">{ends}{origin}{limit}</joint>'
 
 
 def test_a_hand_on_an_arm_is_the_hand_alone(tmp_path):
@@ -265,20 +218,19 @@ def test_a_hand_on_an_arm_is_the_hand_alone(tmp_path):
             np.testing.assert_array_equal(found, expected)
 
 
-@pytest.mark.parametrize("kind", ["revolute", "prismatic"])
-def test_joints_that_move_no_fingertip_are_locked_nearest_to_zero(tmp_path, kind):
-    """Here at 0.25: the fixed finger weighs what the moving one does at that angle."""
+def test_joints_that_move_no_fingertip_are_locked_at_zero(tmp_path):
+    """The fixed finger weighs what the moving one does at that angle."""
     nail = (
         '<link name="nail"><inertial><mass value="2"/><origin xyz="0.3 0.1 0.2"/></inertial></link>'
     )
     path = write_hand(tmp_path, [3, 3, 3])
-    hand = changed(path, ("</robot>", nail + joint("n", "f2_tip", "nail", kind) + "</robot>"))
+    hand = changed(path, ("</robot>", nail + joint("n", "f2_tip", "nail") + "</robot>"))
     assert hand.joints == 9
     fingers = yaml.safe_load(path.read_text())["fingers"]
     moves = changed(path, fingers=[*fingers, {"name": "nail", "tip": "nail", "radius": 0.01}])
     moves.gravity = hand.gravity = np.array([3.0, -4.0, 5.0])
     i, theta = moves.joint_names.index("n"), np.random.default_rng(1).uniform(-1.0, 1.0, 9)
-    at = moves.gravity_torque(np.insert(theta, i, 0.25))
+    at = moves.gravity_torque(np.insert(theta, i, 0.0))
     np.testing.assert_allclose(hand.gravity_torque(theta), np.delete(at, i), atol=1e-12)
 
 
@@ -287,13 +239,6 @@ def test_a_ring_of_links_before_the_palm_is_left_out(tmp_path):
     ring = joint("in", "one", "palm") + joint("out", "palm", "one") + '<link name="one"/>'
     hand = changed(path, ("</robot>", f'{ring}<link name="world"/></robot>'))
     assert hand.joints == 9
-
-
-def test_a_locked_joint_without_three_numbers_is_named(tmp_path):
-    path = write_hand(tmp_path, [3, 3, 3])
-    nail = '<link name="nail"/>' + joint("n", "f2_tip", "nail").replace("0 0.6 0.8", "0 1")
-    with pytest.raises(HandModelError, match="'0 1', expected three numbers"):
-        changed(path, ("</robot>", nail + "</robot>"))
 
 
 def test_limits_of_the_yaml_win(tmp_path):
@@ -311,18 +256,18 @@ def test_limits_of_the_yaml_win(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "wrong"),
+    ("old", "new"),
     [
-        ('effort="30"', 'effort="0"', "an effort of 0"),
-        ('effort="30" velocity="20"', "", "no effort and no velocity"),
-        ('<limit lower="-3" upper="3" effort="30" velocity="20"/>', "", "no effort and no .*"),
+        ('effort="30"', 'effort="0"'),
+        ('velocity="20"', ""),
+        ('<limit lower="-3" upper="3" effort="30" velocity="20"/>', ""),
     ],
 )
-def test_limits_that_the_urdf_lacks_come_from_the_yaml(tmp_path, old, new, wrong):
+def test_limits_that_the_urdf_lacks_come_from_the_yaml(tmp_path, old, new):
     """Joints that are locked or cut off need none."""
     path = write_hand(tmp_path, [3, 3, 3])
     nail = '<link name="nail"/>' + joint("n", "f2_tip", "nail").replace('effort="1"', 'effort="0"')
-    with pytest.raises(HandModelError, match=f"joint 'f1_joint_1': <limit> has {wrong}, expected"):
+    with pytest.raises(HandModelError, match="joint 'f1_joint_1': <limit> needs an effort"):
         changed(path, (old, new), ("</robot>", nail + "</robot>"))
     limits = {"lower": -1.0, "upper": 2.0, "effort": 0.5, "velocity": 4.0}
     hand = changed(path, limits={"f1_joint_1": limits})
@@ -423,17 +368,3 @@ def test_a_fingertip_has_its_center_and_axis_in_the_frame_of_its_link(tmp_path):
     away = hand.tip_positions(theta) - plain.tip_positions(theta)
     np.testing.assert_allclose(away[1], before @ [0.01, -0.02, 0.03], atol=1e-12)
     assert not away[[0, 2]].any()
-
-
-def test_a_hand_with_coupled_joints_holds_an_object(tmp_path):
-    """With the last joint of each finger coupled, as in many prostheses, under gravity."""
-    couplings = {f"f{i}_joint_4": {"joint": f"f{i}_joint_3", "ratio": 0.5} for i in (1, 2, 3)}
-    changes = prism_grasp(tmp_path, [4, 4, 4], couplings=couplings) | {
-        "duration": 0.4,
-        "targets": [],
-    }
-    loop = ClosedLoop(load_scenario("gravity", changes))
-    assert loop.plant.hand.joints == 9
-    record = loop.run()
-    assert len(record) == loop.scenario.ticks and np.isfinite(record.true_positions).all()
-    assert np.linalg.norm(record.object_position - record.object_position[0], axis=1).max() < 0.005

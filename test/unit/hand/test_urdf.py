@@ -64,7 +64,8 @@ TREE = chain("ab", ["revolute"] * 2, LIMIT.format(0.0))
         (TREE, link(inertial='<origin xyz="0 0 x"/>'), "'one': inertial/origin xyz has 'x'"),
         (TREE, link({**MOMENTS, "iyz": "?"}), "link 'one': inertial/inertia iyz has"),
         ("<limit", '<axis xyz="1 b 0"/><limit', "joint 'a': axis xyz has 'b'"),
-        ("<link", '<xacro:include filename="x"/><link', "has xacro elements; expand it with"),
+        ("<link", '<xacro:a xmlns:xacro="a/xacro"/><link', "it has xacro elements; expand a xac"),
+        ("<link", "<xacro:a/><link", "is not a URDF: unbound prefix"),
     ],
 )
 def test_what_no_hand_can_be_built_from_is_named(tmp_path, capfd, old, new, message):

@@ -32,7 +32,7 @@ SCENARIO = load_scenario("paper", {"duration": 0.1})
     [
         ({"scenario": "papr"}, "did you mean 'paper'"),
         ({"scenario": "broken.yaml"}, "broken.yaml: line 3, .* is not valid YAML"),
-        ({"duration": -1.0}, "--duration"),
+        ({"duration": -1.0}, "duration is -1"),
         ({"changes": ["plant.rte=500"]}, "did you mean 'rate'"),
         ({"changes": ["targets=[{position: [9, 9, 9]}]"]}, "out of reach"),
         ({"namespace": "1st"}, "the namespace is '1st'"),

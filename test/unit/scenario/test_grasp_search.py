@@ -40,10 +40,6 @@ def body_of(size, shape="box", mass=0.05):
     return ObjectConfig(shape=shape, size=size, mass=mass, friction=0.5)
 
 
-def hand_file(tmp_path, joints, **more):
-    return str(write_hand(tmp_path, joints, **more)) if joints else "human"
-
-
 @pytest.mark.parametrize(
     ("joints", "size", "more"),
     [
@@ -58,7 +54,7 @@ def hand_file(tmp_path, joints, **more):
 def test_what_is_found_touches_one_face_and_the_opposite_and_can_bear_its_load(
     tmp_path, joints, size, more
 ):
-    name = hand_file(tmp_path, joints, **more)
+    name = str(write_hand(tmp_path, joints, **more)) if joints else "human"
     hand = Hand.load(name, gravity=DOWN)
     best, *others = search(hand, body_of(size))
     worth = [g.load * g.press * min(1.0, 4.0 * g.room) for g in (best, *others)]

@@ -21,14 +21,6 @@ WORDS = ["sweep", "paper", "--over", MASS, "--over", FRICTION, "--set", "duratio
 WORDS += ["--runs", "24", "--jobs", "1"]
 
 
-def refused(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
-    """Return the output of a rejected command."""
-    assert main([str(argument) for argument in arguments]) == 2
-    text = capsys.readouterr().err
-    assert text.startswith(("tactile-hand: ", "Usage: ")) and "Traceback" not in text
-    return text
-
-
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return the folder of a small sweep."""
@@ -37,23 +29,14 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out
 
 
-def rows_of(folder: Path) -> list[dict[str, str]]:
-    """Return the rows of the table."""
-    return list(csv.DictReader((folder / "runs.csv").read_text().splitlines()))
-
-
-def test_a_sweep_leaves_table_and_summary(folder):
-    names = {path.name for path in folder.iterdir()}
-    assert {"study.json", "runs.csv", "summary.md"} <= names
-    assert len(rows_of(folder)) == 24
+def test_a_sweep_leaves_a_summary(folder):
     summary = (folder / "summary.md").read_text()
-    assert (
-        "| missed | 24 of 24 | 100.0 % |" in summary and "| max_slip_distance_m | 24 |" in summary
-    )
+    assert "| missed | 24 of 24 | 100.0 % |" in summary
+    assert "| max_slip_distance_m | 24 |" in summary
 
 
 def test_a_row_is_its_run_again_to_the_bit(folder):
-    row = rows_of(folder)[17]
+    row = list(csv.DictReader((folder / "runs.csv").read_text().splitlines()))[17]
     changes = {name: float(row[name]) for name in ("plant.object.mass", "plant.object.friction")}
     changes["seed"] = int(row["seed"])
     scenario = load_scenario("paper", {"duration": 0.05, **changes})
@@ -69,27 +52,31 @@ def test_a_finished_sweep_only_shows_its_results(folder, capsys):
 
 
 def test_bad_input_is_refused_in_a_sentence(folder, tmp_path, capsys):
-    def sweep(*words: object) -> str:
-        return refused(capsys, "sweep", *words, f"--out={tmp_path / 'x'}", "--jobs=1")
+    def sweep(*words: str) -> str:
+        assert main(["sweep", f"--out={tmp_path / 'x'}", "--jobs=1", *words]) == 2
+        text = capsys.readouterr().err
+        assert text.startswith(("tactile-hand: ", "Usage: ")) and "Traceback" not in text
+        return text
 
     assert "did you mean 'mass'" in sweep("paper", "--over=plant.object.mas=1..2")
     assert "expected the lower bound first" in sweep("paper", "--over=plant.object.mass=2..1")
     assert "should be greater than 0" in sweep("paper", "--over=plant.object.mass=-1..1")
+    assert "should be greater than 0" in sweep("paper", "--over=plant.object.mass=1,0,2")
+    assert "should be less than or equal to 92" in sweep("paper", "--set", f"seed={2**63}")
     assert "nothing is varied" in sweep("paper")
+    for more in ("--over=plant.object.mass=1,2", "--set=plant.object.mass=1"):
+        assert "plant.object.mass is given twice" in sweep("paper", f"--over={MASS}", more)
     assert "did you mean 'paper'" in sweep("papr", f"--over={MASS}")
-    assert "expected 1 or more processes" in refused(
-        capsys, "sweep", "paper", f"--over={MASS}", f"--out={tmp_path / 'x'}", "--jobs=0"
-    )
-    assert "another study: runs is 24 there" in refused(
-        capsys, "sweep", "paper", f"--over={MASS}", f"--out={folder}"
-    )
+    assert "expected 1 or more processes" in sweep("paper", f"--over={MASS}", "--jobs=0")
+    assert "another study: runs is 24 there" in sweep("paper", f"--over={MASS}", f"--out={folder}")
     assert not (tmp_path / "x" / "study.json").exists()
 
 
 def test_paths_lead_into_lists_and_whole_numbers_stay_whole():
+    seeds = make_sweep("gravity", ["seed=1..5"], {})
+    assert [seeds.point(i).values["seed"] for i in range(len(seeds.fractions))] == [1, 2, 3, 4, 5]
     made = make_sweep("gravity", ["gravity.2=-9.81..-1", "seed=1..5"], {}, runs=10)
     points = [made.point(index) for index in range(10)]
-    assert {type(point.values["seed"]) for point in points} == {int}
     assert sorted(point.values["seed"] for point in points) == sorted([1, 2, 3, 4, 5] * 2)
     scenario = made.run.scenario_of(points[0])
     assert scenario.gravity == (0.0, 0.0, points[0].values["gravity.2"])
