@@ -109,6 +109,7 @@ def _points(root: Element, finger: FingerConfig, file: Path) -> Array:
 
 
 def three_numbers(element: Element | None, key: str, default: str = "0 0 0") -> Array:
+    """Return the numbers of an attribute, shape (3,), those of the default without an element."""
     text = default if element is None else element.get(key, default)
     return np.array(text.split(), dtype=float)
 
