@@ -41,8 +41,8 @@ class TactileSensorNode(TactileNode[TactileSensorConfig]):
     frame, m; NaN for fingers without contact), `tactile/<finger>/wrench`
     (geometry_msgs/WrenchStamped in `<finger>_contact`, N). Once a second: `/diagnostics`.
 
-    Parameters: the fields of `TactileSensorConfig`; noise, vibration, dropout and faults are
-    live. When the timestamps jump back, noise restarts from its seed.
+    Parameters: the fields of `TactileSensorConfig`; noise, resolution, vibration, dropout and
+    faults are live. When the timestamps jump back, noise restarts from its seed.
     """
 
     def __init__(self, *, composed: bool = False, **kwargs: Any) -> None:

@@ -78,11 +78,17 @@ class TactileSensorConfig(Config):
     location_noise: float = param(
         0.0, "standard deviation of the contact location", unit="m", live=True, ge=0.0
     )
+    location_resolution: float = param(
+        0.0, "spacing of the taxels, 0 for continuous", unit="m", live=True, ge=0.0
+    )
     location_bandwidth: float = param(
         0.0, "corner frequency of the contact location, 0 for none", unit="Hz", ge=0.0
     )
     force_noise: float = param(
         0.0, "standard deviation of each force component", unit="N", live=True, ge=0.0
+    )
+    force_resolution: float = param(
+        0.0, "smallest step of a force, 0 for continuous", unit="N", live=True, ge=0.0
     )
     bandwidth: float = param(
         0.0, "corner frequency of the skin's first-order response, 0 for none", unit="Hz", ge=0.0
@@ -149,7 +155,11 @@ def miscalibrated(
 ) -> TactileReading:
     """Return contacts p = p_f + r n and forces, with p_f and r of the model and a turned n.
 
-    The model is the hand of the controllers; `theta` are its joint angles, shape (m,), rad.
+    Args:
+        config: The errors.
+        model: The hand of the controllers.
+        theta: Joint angles, shape (m,), rad.
+        true: The true contacts.
     """
     centers, tips = model.tip_positions(theta), model.tip_rotations(theta)
     turns = tips @ rotation_from_vector(config.skin_rotation) @ np.swapaxes(tips, 1, 2)
@@ -180,7 +190,7 @@ class TactileSensor:
     """Samples true contacts like a skin, with one seed.
 
     A force passes these stages: vibration while the contact slides, bandwidth, drift of the zero,
-    white noise, dropout and latency. A skin that is faster than the ticks samples the
+    white noise, resolution, dropout and latency. A skin that is faster than the ticks samples the
     vibration at its own rate, and the true contacts of a tick hold since the last tick.
     """
 
@@ -230,10 +240,13 @@ class TactileSensor:
         sliding: Array | None = None,
         theta: Array | None = None,
     ) -> TactileReading:
-        """Return the published report of a tick, ns, from its true contacts.
+        """Return the published report of a tick.
 
-        `sliding` are the sliding speeds of the contacts, shape (k,), m/s; none slides by default.
-        The joint angles, shape (m,), rad, are only needed with a wrong calibration.
+        Args:
+            stamp: The tick, ns.
+            true: True contacts at this tick.
+            sliding: Sliding speeds of the contacts, shape (k,), m/s; none slides by default.
+            theta: Joint angles, shape (m,), rad; only needed with a wrong calibration.
         """
         if self._model is not None and theta is not None:
             true = miscalibrated(self.config.calibration, self._model, theta, true)
@@ -318,7 +331,7 @@ def _measured(
     for i in range(len(radii)):
         rms = limit * (1.0 - math.exp(-gain / limit * sliding[i]))
         measured[i] += rms * noise[1, i]
-    is_displaced = c["location_noise"] > 0.0
+    is_displaced = c["location_noise"] > 0.0 or c["location_resolution"] > 0.0
     if is_displaced or c["bandwidth"] > 0.0 or c["bias_drift"] > 0.0:
         # In one frame, since the reported contact frame moves.
         measured = in_palm(rows_of_quaternions(quaternions).reshape(-1, 3, 3), measured, 1.0)
@@ -331,7 +344,7 @@ def _measured(
         touches = math.isfinite(positions[i, 0])
         for axis in range(3):
             force = measured[i, axis] + c["force_noise"] * noise[3, i, axis]
-            measured[i, axis] = force if touches else 0.0
+            measured[i, axis] = _rounded(force, c["force_resolution"]) if touches else 0.0
     return positions, quaternions, measured
 
 
@@ -369,7 +382,8 @@ def _displace(
     for i in range(len(radii)):
         normal, arm = frames[i, 1::3], np.empty(3)
         for axis in range(3):
-            arm[axis] = radii[i] * normal[axis] + c["location_noise"] * white[i, axis]
+            shifted = radii[i] * normal[axis] + c["location_noise"] * white[i, axis]
+            arm[axis] = _rounded(shifted, c["location_resolution"])
             before = memory[i]["arm"][axis]
             if follow and math.isfinite(before):  # a new contact appears immediately
                 arm[axis] = before + fraction * (arm[axis] - before)
@@ -380,6 +394,11 @@ def _displace(
         positions[i] = center + radii[i] * seen
         frames[i] = contact_frame(seen).reshape(9)
     quaternions[:] = quaternions_of_rows(frames)
+
+
+@compiled
+def _rounded(value: float, step: float) -> float:
+    return np.rint(value / step) * step if step > 0.0 else value
 
 
 class BandNoise:
@@ -410,8 +429,10 @@ class BandNoise:
         """Return the mean of the next samples, weighted by the low-pass of the bandwidth.
 
         Held for their time, this mean has the same effect on the low-pass as the samples. Without
-        a bandwidth it is the newest sample. They are made of white noise of unit variance, shape
-        (n, *shape), oldest first.
+        a bandwidth it is the newest sample.
+
+        Args:
+            white: White noise of unit variance, shape (n, *shape), oldest first.
         """
         memory = self._smooth, self._slow
         return self._scale * _filtered(*memory, self._pass, self._follow, self._keep, white)

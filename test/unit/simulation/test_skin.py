@@ -70,8 +70,16 @@ def test_one_seed_gives_the_same_noise_and_another_gives_other():
         same(one, two)
 
 
+def test_a_repeated_tick_repeats_the_reading():
+    skin = sensor(force_noise=0.1)
+    skin.step(0, truth())
+    once = skin.step(TICK, truth())
+    same(skin.step(TICK, truth()), once)
+
+
 def test_no_contact_is_nan_without_force_however_noisy():
-    for reading in readings(sensor(force_noise=0.5, location_noise=0.01), 10, missing=[0, 2]):
+    noisy = {"force_noise": 0.5, "location_noise": 0.01, "location_resolution": 0.003}
+    for reading in readings(sensor(**noisy), 10, missing=[0, 2]):
         assert np.isnan(reading.positions[[0, 2]]).all()
         assert np.isnan(reading.quaternions[[0, 2]]).all()
         assert not reading.forces[[0, 2]].any()
@@ -110,7 +118,7 @@ def test_a_location_settles_with_its_time_constant_and_a_new_one_shows_at_once()
     there /= np.linalg.norm(there, axis=1)[:, None]
     frames = quaternion_from_rotation([contact_frame(n) for n in there])
     turned = TactileReading(here.positions, frames, here.forces)
-    skin = sensor(rate=1000.0, location_noise=1e-12, location_bandwidth=20.0)
+    skin = sensor(rate=1000.0, location_resolution=1e-10, location_bandwidth=20.0)
 
     def shows(tick, true):
         return skin.step(tick * 1_000_000, true).contacts.normals
@@ -181,8 +189,11 @@ def test_of_a_pause_a_second_of_samples_is_made_up_for(pause, unread, bandwidth)
     np.testing.assert_allclose(found, expected, atol=1e-4 if is_long else 1e-12)
 
 
-def test_a_location_is_displaced_then_smoothed():
-    skin = sensor(rate=1000.0, seed=9, location_noise=0.003, location_bandwidth=50.0)
+def test_a_location_is_displaced_then_rounded_then_smoothed():
+    skin = sensor(
+        **{"rate": 1000.0, "seed": 9, "location_noise": 0.003, "location_resolution": 0.002},
+        location_bandwidth=50.0,
+    )
     normals, random, before = truth().contacts.normals, np.random.default_rng(9), None
     centers = truth().positions - RADII[:, None] * normals
     share = 1.0 - np.exp(-2.0 * np.pi * 50.0 * 1e-3)
@@ -190,7 +201,7 @@ def test_a_location_is_displaced_then_smoothed():
         found = skin.step(i * 1_000_000, truth())
         white = random.standard_normal((4, 3, 3))[0]
         random.random(3)
-        arms = RADII[:, None] * normals + 0.003 * white
+        arms = 0.002 * np.rint((RADII[:, None] * normals + 0.003 * white) / 0.002)
         before = arms if before is None else before + share * (arms - before)
         seen = before / np.linalg.norm(before, axis=1)[:, None]
         np.testing.assert_allclose(found.positions, centers + RADII[:, None] * seen, atol=1e-12)
@@ -207,6 +218,14 @@ def test_a_sample_is_lost_where_its_luck_is_below_the_chance():
         last = np.where((luck < 0.4) & (i > 0), last, 5.0 + 0.001 * i)
         found = skin.step(i * 1_000_000, truth(0.001 * i)).forces[:, 1]
         np.testing.assert_allclose(found, last, atol=1e-12)
+
+
+def test_one_finger_without_contact_leaves_the_others_noise_alone():
+    whole = readings(sensor(force_noise=0.1, location_noise=0.001), 20)
+    part = readings(sensor(force_noise=0.1, location_noise=0.001), 20, missing=[1])
+    for one, two in zip(whole, part, strict=True):
+        np.testing.assert_array_equal(one.forces[[0, 2]], two.forces[[0, 2]])
+        np.testing.assert_array_equal(one.positions[[0, 2]], two.positions[[0, 2]])
 
 
 def test_each_finger_has_its_own_fault():
