@@ -122,13 +122,24 @@ class Solid:
         excess: Volume of a mesh's convex hull per volume of the mesh, minus 1.
     """
 
-    def __init__(self, points: Array, gyration: Array | None = None) -> None:
-        """Build the convex hull of points, shape (v, 3), m; see `gyration`, if that is known.
+    def __init__(
+        self, vertices: Array, planes: Array | None = None, gyration: Array | None = None
+    ) -> None:
+        """Build the convex hull of a set of points.
+
+        Args:
+            vertices: Shape (v, 3), m.
+            planes: Outward unit normals n and heights d with n . p + d = 0 on each face, shape
+                (f, 4), if known; then all points must be corners.
+            gyration: See `gyration`, if known, shape (3, 3), m^2.
 
         Raises:
             ObjectModelError: If the points do not span a volume.
         """
-        self.vertices, planes = _hull(np.asarray(points, dtype=float))
+        points = np.asarray(vertices, dtype=float)
+        if planes is None:
+            points, planes = _hull(points)
+        self.vertices = points
         self.normals, self.offsets = planes[:, :3].copy(), -planes[:, 3]
         self.face_corners = [self._corners_of(f) for f in range(len(planes))]
         self.edges = self._edges()
@@ -139,8 +150,12 @@ class Solid:
     @classmethod
     def box(cls, size: Array) -> Solid:
         """Return a box centered at the origin with the given edge lengths, shape (3,), m."""
+        half = np.asarray(size, dtype=float) / 2.0
         signs = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
-        return cls(signs * np.asarray(size) / 2.0)
+        # In the order in which Qhull would find them.
+        x, y, z = np.eye(3)
+        normals = np.array([-z, -y, x, -x, y, z])
+        return cls(signs * half, np.column_stack([normals, -np.abs(normals) @ half]))
 
     @classmethod
     def revolved(cls, kind: str, diameter: float, length: float) -> Solid:
@@ -166,7 +181,9 @@ class Solid:
     def of_mesh(cls, file: str, scale: float) -> Solid:
         """Return the convex hull of a mesh, about the center of mass of the mesh, and its gyration.
 
-        The file is STL, OBJ or another format of trimesh, and the scale its unit, m.
+        Args:
+            file: STL, OBJ or another format of trimesh.
+            scale: Meters per unit of the file.
 
         Raises:
             MissingLibraryError: If trimesh is not installed.
@@ -285,7 +302,8 @@ def _directions(count: int) -> Array:
 
 def _hull(points: Array) -> tuple[Array, Array]:
     """Return corners and face planes of the convex hull of points, shape (v, 3) and (f, 4), m."""
-    from scipy.spatial import ConvexHull, QhullError  # not at the top: it loads slowly
+    # Not at the top: it takes 0.1 s to load, and a box does not need it.
+    from scipy.spatial import ConvexHull, QhullError
 
     try:
         hull = ConvexHull(points)

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The object's shape: faces, edges, corners, degenerate input, and random polyhedra."""
 
+import time
+
 import numpy as np
 import pytest
 import trimesh
@@ -29,12 +31,15 @@ def dodecahedron(decimals=None):
     return points if decimals is None else points.round(decimals)
 
 
+def test_a_box_is_the_hull_of_its_corners():
+    """Its planes are explicit, since computing them would load a library."""
+    hull = Solid(BOX.vertices)
+    for ours, found in zip(BOX.shape, hull.shape, strict=True):
+        np.testing.assert_allclose(ours, found, atol=1e-15)
+
+
 def test_corners_of_a_face_run_counter_clockwise_about_its_normal():
-    pentagons = Solid(dodecahedron())
-    assert [len(corners) for corners in pentagons.face_corners] == [5] * 12
-    assert len(pentagons.edges) == 30
-    np.testing.assert_allclose(np.linalg.norm(pentagons.normals, axis=1), 1.0)
-    for solid in (BOX, pentagons):
+    for solid in (BOX, Solid(dodecahedron())):
         for normal, offset, corners in zip(
             solid.normals, solid.offsets, solid.face_corners, strict=True
         ):
@@ -42,6 +47,13 @@ def test_corners_of_a_face_run_counter_clockwise_about_its_normal():
             np.testing.assert_allclose(at @ normal, offset, atol=1e-12)
             sides = np.roll(at, -1, axis=0) - at
             assert (np.cross(sides, np.roll(sides, -1, axis=0)) @ normal > 0.0).all()
+
+
+def test_a_dodecahedron_has_pentagons():
+    solid = Solid(dodecahedron())
+    assert [len(corners) for corners in solid.face_corners] == [5] * 12
+    assert len(solid.edges) == 30
+    np.testing.assert_allclose(np.linalg.norm(solid.normals, axis=1), 1.0)
 
 
 @pytest.mark.parametrize("decimals", [None, 8, 7, 6, 5, 4, 3])
@@ -71,6 +83,15 @@ def test_corners_typed_with_few_decimals_leave_no_holes(decimals):
 def test_what_spans_no_solid_is_refused(points):
     with pytest.raises(ObjectModelError, match="do not span a solid"):
         Solid(points)
+
+
+def test_many_corners_take_no_minutes():
+    """Comparing the planes pair by pair would take minutes for 3000 corners."""
+    points = np.random.default_rng(1).normal(size=(1000, 3))
+    start = time.process_time()
+    solid = Solid(points / np.linalg.norm(points, axis=1)[:, None])
+    assert time.process_time() - start < 3.0
+    assert len(solid.normals) == 1996
 
 
 @pytest.mark.parametrize(
