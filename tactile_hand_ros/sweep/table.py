@@ -7,6 +7,7 @@ number of workers and any order of runs.
 
 from __future__ import annotations
 
+import contextlib
 import csv
 import io
 import json
@@ -80,7 +81,9 @@ def _begin(study: Study, folder: Path) -> set[int]:
     }
     text = json.dumps(content, indent=1) + "\n"
     if file.exists() or rows.exists():
-        before = json.loads(file.read_text("utf-8")) if file.exists() else {}
+        before: dict[str, Any] = {}
+        with contextlib.suppress(FileNotFoundError, ValueError, TypeError):  # unlike any study
+            before = dict(json.loads(file.read_text("utf-8")))
         _compare(before, json.loads(text), folder)
     folder.mkdir(parents=True, exist_ok=True)
     files.replace_text(file, text)

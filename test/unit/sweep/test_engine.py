@@ -81,6 +81,10 @@ def test_a_folder_holds_one_study(tmp_path):
     kept(tmp_path, runs=4)
     with pytest.raises(StudyError, match="another study: runs is 4 there and 5 here"):
         kept(tmp_path, runs=5)
+    for damaged in ("{", "[1]", ""):
+        (tmp_path / table.DESCRIPTION).write_text(damaged)
+        with pytest.raises(StudyError, match="another study"):
+            kept(tmp_path, runs=4)
     (tmp_path / table.DESCRIPTION).unlink()  # whose rows these are is unknown
     with pytest.raises(StudyError, match="another study"):
         kept(tmp_path, runs=4)
