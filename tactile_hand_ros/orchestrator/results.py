@@ -78,7 +78,7 @@ def real_time_counts(plan: Plan, outcome: RunOutcome) -> dict[str, float] | None
     keys = ("time_s", "lost_s", "late_commands", "missed_ticks")
     time, lost, late, missed = (float(outcome.plant.get(key, "nan")) for key in keys)
     rate = plan.scenario.plant.rate
-    skipped, due = missed + lost * rate, (time + lost) * rate
+    skipped, due = missed + round(lost * rate), (time + lost) * rate
     fraction = min(1.0, (late + skipped) / due) if due > 0.0 else float("nan")
     return {"rate_hz": rate, "late": late, "skipped": skipped, "missed_fraction": fraction}
 

@@ -165,7 +165,7 @@ class LossCounter:
             return
         (sender,) = present
         if sender == self._sender:
-            self.count += number - expected
+            self.count += max(0, number - expected)  # else of a publisher that has left
         elif sender not in self._older and time.monotonic() >= self.forgiving_until:
             self.count += number - 1
         self._sender = sender

@@ -136,6 +136,7 @@ def test_of_several_publishers_nothing_is_counted_and_all_of_one_that_appears_al
         ({b"a", b"b"}, 54, 2),
         ({b"b"}, 80, 2),
         ({b"b"}, 82, 3),
+        ({b"b"}, 55, 3),  # of one that has just left
         ({b"c"}, 5, 7),  # it sent four before it matched the subscription
         (set(), 9, 7),  # the context has ended
     ):
