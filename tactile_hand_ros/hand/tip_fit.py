@@ -109,9 +109,12 @@ def _points(root: Element, finger: FingerConfig, file: Path) -> Array:
 
 
 def three_numbers(element: Element | None, key: str, default: str = "0 0 0") -> Array:
-    """Return the numbers of an attribute, shape (3,), those of the default without an element."""
+    """Return an attribute with three numbers, shape (3,); HandModelError if it has others."""
     text = default if element is None else element.get(key, default)
-    return np.array(text.split(), dtype=float)
+    words = text.split()
+    if len(words) != 3:
+        raise HandModelError(f"the URDF has '{text}', expected three numbers")
+    return np.array(words, dtype=float)
 
 
 def _mesh_file(name: str, file: Path) -> Path:

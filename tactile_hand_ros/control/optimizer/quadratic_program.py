@@ -146,11 +146,11 @@ class QuadraticProgram:
 
 @compiled
 def solve_problem(problem: Problem, held: Flags) -> tuple[Array, Array, int]:
-    """Return the optimum, shape (n,), its multipliers, and the number of linear systems.
+    """Return the optimum, of (13) for example, its multipliers, and the number of linear systems.
 
-    `held` are the active inequalities at the start, shape (m,), overwritten with those at the end.
-    Multipliers are those of equations and inequalities, shape (e + m,). Without a solution the
-    number of systems is 0.
+    The optimum has the shape (n,). `held` are the active inequalities at the start, shape (m,),
+    overwritten with those at the end. Multipliers are those of equations and inequalities, shape
+    (e + m,). Without a solution the number of systems is 0.
     """
     e, systems = len(problem.equal), 0
     x, multipliers = np.zeros(len(problem.price)), np.zeros(e + len(held))

@@ -148,7 +148,7 @@ def test_ros2_run_starts_a_node_where_it_finds_the_same_package(
     try:
         with Processes() as run:
             run.start("plant", tmp_path / "log", "--help")
-            wait_until(lambda: "Arguments" in (tmp_path / "log").read_text(), 60.0, "the help")
+            wait_until(lambda: "options:" in (tmp_path / "log").read_text(), 60.0, "the help")
     finally:
         launcher._ros2.cache_clear()
     asked = tmp_path / "asked"
