@@ -130,7 +130,7 @@ class FoxgloveBridgeNode(TactileNode[FoxgloveBridgeConfig]):
     def _deliver(self) -> None:
         while self._listener.subscribed:
             name = self._listener.subscribed.popleft()
-            # Anew for each client, so that each gets the last message of a latched topic.
+            # Subscribe again for each client: each then gets the last message of a latched topic.
             if name in self._shown:
                 self._shown.pop(name).close()
             self._shown[name] = RawTopic(self, name, self._offered[name].schema_name(), _DEPTH)

@@ -95,7 +95,7 @@ def _announce(plan: Plan, directory: RunDirectory, options: RunOptions, console:
         show("real time: the nodes share one process; --processes gives each node its own")
     show(f"starting nodes; logs: {directory.path / 'logs'}")
     if plan.interactive:
-        show("Ctrl-C ends the run; `tactile-hand move`, `squeeze`, `release` and others steer it")
+        show("Ctrl-C ends the run; steer it with `tactile-hand move`, `squeeze` or `release`")
 
 
 def _conclude(
