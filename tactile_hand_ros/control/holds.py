@@ -35,10 +35,11 @@ from tactile_hand_ros.hand.hand import Dynamics, Fingertips, Hand
 
 _PHASE = 0.5  # w d: leaves 17 degrees of phase at the longest delay, 47 at half of it
 _DAMPING_PHASE = 1.25  # w d of damping alone: leaves 18 degrees
-_POSE_PHASE = 0.25  # loss of phase of the stiffness by the age of touch, and loss of damping
+_POSE_PHASE = 0.25  # of the stiffness, by age of touch and object; fraction of damping lost to age
 _SHAKE = 0.03  # of a finger's weight, by angle errors; the grasp force has 0.6 in reserve
 _MARGIN = 1.5  # of the stiffness over the buckling limit
 _MAX_OFFSET, _MAX_RATE = np.pi, 1e3  # rad and rad/s; keep the torque finite
+_GRAVITY = 9.81  # m/s^2
 _STEP = 1e-5  # of finite differences, rad
 _INDEPENDENT = 1e-9  # of the largest singular value; smaller ones are rounding
 
@@ -51,16 +52,18 @@ def stiffest(hand: Hand, inertia: Array, tick: float, late: float, error: float)
     """
     if error == 0.0:
         return _PHASE / late
-    return min(_PHASE / (late + 0.5 * tick), _quietest(hand, inertia, error))
+    quietest = float(_quietest(hand, inertia.diagonal().max(), error))
+    return min(_PHASE / (late + 0.5 * tick), quietest)
 
 
-def _quietest(hand: Hand, inertia: Array, error: float) -> float:
-    """Return the bandwidth w, rad/s, at which angle errors e shake the hand as much as allowed.
+def _quietest(hand: Hand, inertia: Array, error: float) -> Array:
+    """Return bandwidths w, rad/s, at which angle errors e shake the hand as much as allowed.
 
-    Their torque M_h w^2 e may be a fraction of that of a finger's weight at its full reach.
+    Their torque I w^2 e, with inertias I of any shape, kg m^2, may be a fraction of that of a
+    finger's weight at its full reach.
     """
     allowed = _SHAKE * hand.finger_weight * hand.spans.max()
-    return math.sqrt(allowed / (inertia.diagonal().max() * error)) if error > 0.0 else math.inf
+    return np.sqrt(allowed / (inertia * error)) if error > 0.0 else np.full_like(inertia, math.inf)
 
 
 def spring(inertia: Array, w: float, away: Array, rates: Array) -> Array:
@@ -113,14 +116,19 @@ def fitted_gains(
     error: float = 0.0,
     delay: int = 0,
 ) -> FittedGains:
-    """Return gains that fit a hand: K_c = w M_h and K_p = p D / t, with the damping D of the grasp.
+    """Return gains that fit a hand: the damping K_c = w M_h, or D at the grasp, and K_p.
 
-    Torques that are held for T make fingers oscillate at w = 2 / T. An object adds inertia, so w is
-    at most 1 / T. Torques that are n ticks late cost the phase w (n + 1/2) T of the damping, at
-    most 72 of its 90 degrees. Directions of forces f that are d old cost the damping K_geo d, a
-    fraction p of it at w = w_r^2 d / p, with the bandwidth w_r of a hold at that k_f. This is w,
-    unless angle errors allow more. A pose that is t late costs a phase p of the stiffness. Rates
-    that do not move the object are damped as much as angle errors allow.
+    Angle errors bound w along each principal axis of M_h; light joints, which alone turn some
+    objects, bear more than heavy ones. Torques that are held for T make fingers oscillate at
+    w = 2 / T. An object adds inertia, so w is at most 1 / T. Torques that are n ticks late cost the
+    phase w (n + 1/2) T of the damping, at most 72 of its 90 degrees. Directions of forces f that
+    are d old cost the damping K_geo d, a fraction p of it at w = w_r^2 d / p, with the bandwidth
+    w_r of a hold at that k_f. This is w, unless angle errors allow more. Rates that do not move the
+    object are damped as much as angle errors allow.
+
+    The pose is t late, and the object, of inertia m, follows the damping after m / D. Both cost
+    phase of the stiffness, so K_p = p D / (t + m / D), with the m of the heaviest object that k_f
+    carries with a friction of 1, as far from its center as the contacts.
 
     Args:
         hand: The hand.
@@ -135,23 +143,25 @@ def fitted_gains(
     """
     inertia = hand.dynamics(theta, np.zeros(hand.joints)).inertia
     largest = min(1.0, _DAMPING_PHASE / (delay + 0.5)) / tick
-    quietest = min(largest, _quietest(hand, inertia, error))
+    inertias, axes = np.linalg.eigh(inertia)
+    quiet = (axes * inertias * np.minimum(_quietest(hand, inertias, error), largest)) @ axes.T
     motions = _motions(hand, hand.fingertips(theta), contacts)
     joints, twists = np.split(motions, [hand.joints])
     redundant = joints @ _kernel(twists)
     motions = motions @ _kernel(redundant.T @ inertia @ joints)
-    rates = _rates_of_twists(motions)
-    momenta = inertia @ rates
-    damping = momenta @ np.linalg.pinv(rates.T @ momenta, rcond=_INDEPENDENT) @ momenta.T
-    stiffness = np.zeros((6, 6))
-    for part, per_error in ((slice(0, 3), 1.0), (slice(3, 6), 0.5)):  # |r_d| is twice the angle
-        moved = rates[:, part]
-        fraction = per_error * _POSE_PHASE / (touch + follows)
-        stiffness[part, part] = fraction * (moved.T @ damping @ moved)
+    joints = motions[: hand.joints]
+    quietest, parts = _ratios(joints.T @ quiet @ joints, joints.T @ inertia @ joints)
+    momenta = inertia @ joints @ parts
+    still = np.eye(hand.joints) - joints @ parts @ momenta.T
     required = required_bandwidth(hand, theta, contacts, forces, motions)
     needed = required**2 * touch / _POSE_PHASE
-    rest = quietest * (inertia - damping)
-    return FittedGains(rest, damping, stiffness, needed, quietest, largest)
+    wrenches = _rates_of_twists(motions).T @ momenta
+    rest = still.T @ quiet @ still
+    lags = np.repeat([1.0, 2.0], 3) / _POSE_PHASE  # |r_d| is twice the angle
+    square = (centered(contacts.positions) ** 2).sum() / hand.fingers
+    body = lags * np.repeat([1.0, square], 3) / _GRAVITY
+    lags *= touch + follows
+    return FittedGains(rest, momenta, wrenches, quietest, needed, largest, lags, body)
 
 
 def largest_damping(
@@ -228,8 +238,14 @@ def _minimum_ratio(a: Array, b: Array) -> float:
     """
     if not len(b):
         return math.inf
+    return float(_ratios(a, b)[0][0])
+
+
+def _ratios(a: Array, b: Array) -> tuple[Array, Array]:
+    """Return the stationary values of x^T a x / x^T b x, rising, and their x with x^T b x = 1."""
     root = np.linalg.cholesky(b)
-    return float(np.linalg.eigvalsh(np.linalg.solve(root, np.linalg.solve(root, a).T))[0])
+    values, vectors = np.linalg.eigh(np.linalg.solve(root, np.linalg.solve(root, a).T))
+    return values, np.linalg.solve(root.T, vectors)
 
 
 class GuardHoldConfig(Config):

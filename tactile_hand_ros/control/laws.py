@@ -180,29 +180,40 @@ def bearable_fraction(part: Array, rest: Array, limits: Array) -> float:
     return max(fraction, 0.0)
 
 
+_NO_GRASP = 1e-3  # N, keeps the inertia of an object regular
+_BLOCKS = np.kron(np.eye(2), np.ones((3, 3)))  # force by translation, torque by rotation
+
+
 class FittedGains(NamedTuple):
     """Gains that fit a hand and its grasp; see `holds.fitted_gains`.
 
     Attributes:
         rest: K_c of rates that do not move the object, shape (m, m), N m s/rad.
-        damping: K_c of rates that do, per rad/s of bandwidth, shape (m, m), N m s/rad.
-        stiffness: K_p per rad/s of bandwidth, shape (6, 6), N/m and N m/rad.
-        needed: Bandwidth that k_f needs, rad/s per N.
-        quietest: Bandwidth up to which angle errors may shake the hand at any k_f, rad/s.
-        largest: Bandwidth up to which held and late torques damp, rad/s.
+        momenta: B of n motions that do, with K_c = B diag(w) B^T, shape (m, n).
+        wrenches: G of these motions, with the damping D = G diag(w) G^T of twists, shape (6, n).
+        quietest: w up to which angle errors may shake the hand at any k_f, shape (n,), rad/s.
+        needed: w that k_f needs, rad/s per N.
+        largest: w up to which held and late torques damp, rad/s.
+        lags: L of K_p = D (L D + k_f B_o)^-1 D, by rows: the D / K_p of a light object, (6,), s.
+        body: B_o, by rows: inertia of the heaviest object that k_f carries, (6,), s^2/m and m s^2.
     """
 
     rest: Array
-    damping: Array
-    stiffness: Array
+    momenta: Array
+    wrenches: Array
+    quietest: Array
     needed: float
-    quietest: float
     largest: float
+    lags: Array
+    body: Array
 
     def at(self, grasp_force: float) -> tuple[Array, Array]:
         """Return K_c, shape (m, m), N m s/rad, and K_p, shape (6, 6), of a k_f in N."""
-        w = min(self.largest, max(self.quietest, self.needed * grasp_force))
-        return self.rest + w * self.damping, w * self.stiffness
+        w = np.minimum(np.maximum(self.quietest, self.needed * grasp_force), self.largest)
+        damping = _BLOCKS * ((self.wrenches * w) @ self.wrenches.T)
+        late = self.lags[:, None] * damping + np.diag(max(grasp_force, _NO_GRASP) * self.body)
+        stiffness = damping @ np.linalg.solve(late, damping)
+        return self.rest + (self.momenta * w) @ self.momenta.T, stiffness
 
 
 class LawInput(NamedTuple):

@@ -145,8 +145,8 @@ def test_integral_action_stops_at_its_limits_and_comes_back_at_once(grip):
 
 def test_an_integral_time_adds_as_much_as_the_fitted_gains_in_that_time(grip):
     law, stiffness = integral_law(time=0.5), np.diag([30.0, 40.0, 50.0, 0.2, 0.3, 0.4])
-    none = np.zeros((9, 9))
-    law.fit(FittedGains(none, none, stiffness / 2.0, 0.0, 2.0, 2.0))
+    moves = np.zeros((9, 9)), np.zeros((9, 6)), np.eye(6), stiffness.diagonal()
+    law.fit(FittedGains(*moves, 0.0, np.inf, np.ones(6), np.zeros(6)))
     target = offset(law, grip, (0.01, 0.02, -0.02), (0.0, 0.1, 0.0))
     for _ in range(100):
         grip.torque("optimal", target, law)
