@@ -39,7 +39,8 @@ _POSE_PHASE = 0.25  # of the stiffness, by age of touch and object; fraction of 
 _SHAKE = 0.03  # of a finger's weight, by angle errors; the grasp force has 0.6 in reserve
 _MARGIN = 1.5  # of the stiffness over the buckling limit
 _MAX_OFFSET, _MAX_RATE = np.pi, 1e3  # rad and rad/s; keep the torque finite
-_GRAVITY = 9.81  # m/s^2
+_OBSERVES = 4.0  # w T at rest; below 3 the load observer feeds the noise of 12-bit encoders
+_HEAVIEST = 0.7 / 9.81  # kg per N of grasp force, with the friction of soft fingertips
 _STEP = 1e-5  # of finite differences, rad
 _INDEPENDENT = 1e-9  # of the largest singular value; smaller ones are rounding
 
@@ -128,7 +129,7 @@ def fitted_gains(
 
     The pose is t late, and the object, of inertia m, follows the damping after m / D. Both cost
     phase of the stiffness, so K_p = p D / (t + m / D), with the m of the heaviest object that k_f
-    carries with a friction of 1, as far from its center as the contacts.
+    carries, as far from its center as the contacts.
 
     Args:
         hand: The hand.
@@ -137,7 +138,7 @@ def fitted_gains(
         forces: Internal forces of a k_f of 1 N in palm axes, shape (k, 3), N.
         tick: T, s.
         touch: d, age of touch, s.
-        follows: t - d, time constant of the load observer, s.
+        follows: Time constant of the load observer, s; t - d unless coarse encoders need more.
         error: Largest error of an angle, rad.
         delay: n, the largest delay of a torque, ticks.
     """
@@ -159,9 +160,10 @@ def fitted_gains(
     rest = still.T @ quiet @ still
     lags = np.repeat([1.0, 2.0], 3) / _POSE_PHASE  # |r_d| is twice the angle
     square = (centered(contacts.positions) ** 2).sum() / hand.fingers
-    body = lags * np.repeat([1.0, square], 3) / _GRAVITY
-    lags *= touch + follows
-    return FittedGains(rest, momenta, wrenches, quietest, needed, largest, lags, body)
+    body = lags * np.repeat([1.0, square], 3) * _HEAVIEST
+    observes = _OBSERVES / quietest.min(initial=largest)
+    lags *= touch + max(follows, observes)
+    return FittedGains(rest, momenta, wrenches, quietest, needed, largest, lags, body, observes)
 
 
 def largest_damping(

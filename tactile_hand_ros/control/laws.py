@@ -196,6 +196,7 @@ class FittedGains(NamedTuple):
         largest: w up to which held and late torques damp, rad/s.
         lags: L of K_p = D (L D + k_f B_o)^-1 D, by rows: the D / K_p of a light object, (6,), s.
         body: B_o, by rows: inertia of the heaviest object that k_f carries, (6,), s^2/m and m s^2.
+        observes: Smallest time constant of the load observer, s.
     """
 
     rest: Array
@@ -206,6 +207,7 @@ class FittedGains(NamedTuple):
     largest: float
     lags: Array
     body: Array
+    observes: float
 
     def at(self, grasp_force: float) -> tuple[Array, Array]:
         """Return K_c, shape (m, m), N m s/rad, and K_p, shape (6, 6), of a k_f in N."""
@@ -375,7 +377,8 @@ class ManipulationLaw:
         if c.observer.time > 0.0 and forces is not None:
             # What a guard carries is to be carried from the first tick that acts again.
             passed = dt if self.acts else np.inf
-            return self.integral + self._observer.step(c.observer, contacts, forces, passed)
+            time = max(c.observer.time, self._fitted.observes if self._fitted else 0.0)
+            return self.integral + self._observer.step(c.observer, contacts, forces, passed, time)
         return self.integral if self._integrates else None
 
     def _integrate(self, error: Array, pull: Array, dt: float) -> None:

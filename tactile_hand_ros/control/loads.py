@@ -161,14 +161,17 @@ class LoadObserver:
         """Forget the load."""
         self.wrench = np.zeros(6)
 
-    def step(self, config: ObserverConfig, contacts: Contacts, forces: Array, dt: float) -> Array:
+    def step(
+        self, config: ObserverConfig, contacts: Contacts, forces: Array, dt: float, time: float
+    ) -> Array:
         """Return the wrench to carry, about the contact centroid, shape (6,), N and N m.
 
-        Measured forces are in contact frames, (k, 3), N; `dt` is the time since the last tick, s.
+        Measured forces are in contact frames, (k, 3), N; `dt` is the time since the last tick, s,
+        and `time` is T, s.
         """
         measured = net_wrench(contacts.positions, contacts.rotations, forces)
         if all_finite(measured):
-            fraction = 1.0 - math.exp(-dt / config.time)
+            fraction = 1.0 - math.exp(-dt / time)
             self.wrench = self.wrench + fraction * (measured - self.wrench)
             limit_wrench(self.wrench, config.force_limit, config.torque_limit)
         return self.wrench

@@ -146,7 +146,7 @@ def test_integral_action_stops_at_its_limits_and_comes_back_at_once(grip):
 def test_an_integral_time_adds_as_much_as_the_fitted_gains_in_that_time(grip):
     law, stiffness = integral_law(time=0.5), np.diag([30.0, 40.0, 50.0, 0.2, 0.3, 0.4])
     moves = np.zeros((9, 9)), np.zeros((9, 6)), np.eye(6), stiffness.diagonal()
-    law.fit(FittedGains(*moves, 0.0, np.inf, np.ones(6), np.zeros(6)))
+    law.fit(FittedGains(*moves, 0.0, np.inf, np.ones(6), np.zeros(6), 0.0))
     target = offset(law, grip, (0.01, 0.02, -0.02), (0.0, 0.1, 0.0))
     for _ in range(100):
         grip.torque("optimal", target, law)
@@ -186,6 +186,18 @@ def test_integral_and_observed_load_are_carried_together(grip, gain):
     np.testing.assert_allclose(parts.total, off.total + carried, atol=1e-11)
     blind = grip.torque("optimal", target, law).load_compensation
     np.testing.assert_allclose(blind, grip.carrying(1.1 * integral), atol=1e-11)
+
+
+def test_coarse_encoders_lengthen_the_time_of_the_load_observer(grip):
+    """4 / w as the fitted gains say, if the user's time is not longer."""
+    forces, none = np.tile([0.1, 1.0, -0.2], (3, 1)), np.zeros((9, 9))
+    for time, lasts in ((0.02, 0.1), (0.3, 0.3)):
+        law = ManipulationLaw(LawConfig(observer={"time": time}), RADII)
+        moves = none, none[:, :6], np.eye(6), np.ones(6)
+        law.fit(FittedGains(*moves, 0.0, np.inf, np.ones(6), np.zeros(6), 0.1))
+        carried = grip.torque("optimal", grip.target, law, forces).load_compensation
+        expected = (1.0 - np.exp(-DT / lasts)) * grip.carrying(grip.net(forces))
+        np.testing.assert_allclose(carried, expected, atol=1e-9)
 
 
 def test_a_load_observer_that_is_switched_off_forgets(grip):
