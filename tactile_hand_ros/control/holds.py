@@ -39,8 +39,8 @@ _POSE_PHASE = 0.25  # of the stiffness, by age of touch and object; fraction of 
 _SHAKE = 0.03  # of a finger's weight, by angle errors; the grasp force has 0.6 in reserve
 _MARGIN = 1.5  # of the stiffness over the buckling limit
 _MAX_OFFSET, _MAX_RATE = np.pi, 1e3  # rad and rad/s; keep the torque finite
-_OBSERVES = 4.0  # w T at rest; below 3 the load observer feeds the noise of 12-bit encoders
-_HEAVIEST = 0.7 / 9.81  # kg per N of grasp force, with the friction of soft fingertips
+_OBSERVES = 3.0  # w T at rest; an observer twice as fast feeds back the noise of encoders
+_MASS = 1.5 / 9.81  # kg per N of load; objects reach beyond their contacts
 _STEP = 1e-5  # of finite differences, rad
 _INDEPENDENT = 1e-9  # of the largest singular value; smaller ones are rounding
 
@@ -128,8 +128,8 @@ def fitted_gains(
     object are damped as much as angle errors allow.
 
     The pose is t late, and the object, of inertia m, follows the damping after m / D. Both cost
-    phase of the stiffness, so K_p = p D / (t + m / D), with the m of the heaviest object that k_f
-    carries, as far from its center as the contacts.
+    phase of the stiffness, so K_p = p D / (t + m / D), with the m of an object whose weight is the
+    observed load, as far from its center as the contacts.
 
     Args:
         hand: The hand.
@@ -160,7 +160,7 @@ def fitted_gains(
     rest = still.T @ quiet @ still
     lags = np.repeat([1.0, 2.0], 3) / _POSE_PHASE  # |r_d| is twice the angle
     square = (centered(contacts.positions) ** 2).sum() / hand.fingers
-    body = lags * np.repeat([1.0, square], 3) * _HEAVIEST
+    body = lags * np.repeat([1.0, square], 3) * _MASS
     observes = _OBSERVES / quietest.min(initial=largest)
     lags *= touch + max(follows, observes)
     return FittedGains(rest, momenta, wrenches, quietest, needed, largest, lags, body, observes)

@@ -180,7 +180,7 @@ def bearable_fraction(part: Array, rest: Array, limits: Array) -> float:
     return max(fraction, 0.0)
 
 
-_NO_GRASP = 1e-3  # N, keeps the inertia of an object regular
+_NO_LOAD = 1e-3  # N, keeps the inertia of an object regular
 _BLOCKS = np.kron(np.eye(2), np.ones((3, 3)))  # force by translation, torque by rotation
 
 
@@ -194,8 +194,8 @@ class FittedGains(NamedTuple):
         quietest: w up to which angle errors may shake the hand at any k_f, shape (n,), rad/s.
         needed: w that k_f needs, rad/s per N.
         largest: w up to which held and late torques damp, rad/s.
-        lags: L of K_p = D (L D + k_f B_o)^-1 D, by rows: the D / K_p of a light object, (6,), s.
-        body: B_o, by rows: inertia of the heaviest object that k_f carries, (6,), s^2/m and m s^2.
+        lags: L of K_p = D (L D + |w| B_o)^-1 D, by rows: the D / K_p of a light object, (6,), s.
+        body: B_o, by rows: inertia of an object of 1 N, with its lag, (6,), s^2/m and m s^2.
         observes: Smallest time constant of the load observer, s.
     """
 
@@ -209,11 +209,11 @@ class FittedGains(NamedTuple):
     body: Array
     observes: float
 
-    def at(self, grasp_force: float) -> tuple[Array, Array]:
-        """Return K_c, shape (m, m), N m s/rad, and K_p, shape (6, 6), of a k_f in N."""
+    def at(self, grasp_force: float, load: float) -> tuple[Array, Array]:
+        """Return K_c, (m, m), N m s/rad, and K_p, (6, 6), of a k_f and the force of a load, N."""
         w = np.minimum(np.maximum(self.quietest, self.needed * grasp_force), self.largest)
         damping = _BLOCKS * ((self.wrenches * w) @ self.wrenches.T)
-        late = self.lags[:, None] * damping + np.diag(max(grasp_force, _NO_GRASP) * self.body)
+        late = self.lags[:, None] * damping + np.diag(max(load, _NO_LOAD) * self.body)
         stiffness = damping @ np.linalg.solve(late, damping)
         return self.rest + (self.momenta * w) @ self.momenta.T, stiffness
 
@@ -360,10 +360,11 @@ class ManipulationLaw:
         error = pose_error(*auxiliary, target.position, target.orientation)
         wrench, damping, pull = self._gains * error, c.damping * rates, np.zeros(6)
         if self._fitted is not None and not self.fits:
-            fitted_damping, stiffness = self._fitted.at(seen.grasp_force)
-            pull = stiffness @ error
+            force = self.integral[:3] + self._observer.wrench[:3]  # of the last tick
+            gains = self._fitted.at(seen.grasp_force, math.sqrt(force.dot(force)))
+            pull = gains[1] @ error
             wrench = np.where(self._gains > 0.0, wrench, pull)
-            damping = damping if c.damping > 0.0 else fitted_damping @ rates
+            damping = damping if c.damping > 0.0 else gains[0] @ rates
         self._integrate(error, pull, dt)
         law = self._law
         law.seen = seen

@@ -241,16 +241,16 @@ def test_holds_what_is_heavy_and_what_moves_also_with_torques_three_ticks_late(s
 def test_gains_that_fit_a_hand_leave_each_motion_its_damping(tick, name):
     plant = Plant(load_scenario(name).plant)
     grasp = plant.hand, plant.state.theta, plant.state.contacts
-    damping, stiffness = fitted_gains(*grasp, pressing(plant), tick, 0.01, 0.02).at(3.0)
+    damping, stiffness = fitted_gains(*grasp, pressing(plant), tick, 0.01, 0.02).at(3.0, 2.0)
     speed = np.linalg.eigvals(np.linalg.solve(plant.hand.dynamics(grasp[1], STILL)[1], damping))
     assert_allclose(speed, 1.0 / tick)
-    # A pose that is late, and the heaviest object of 3 N, cost 0.25 rad.
-    late = 0.01 + max(0.02, 4.0 * tick)
+    # A pose that is late, and an object of 1.5 times a load of 2 N, cost 0.25 rad.
+    late = 0.01 + max(0.02, 3.0 * tick)
     contacts, axes = grasp[2], np.tile(np.eye(3), (3, 1, 1))
     jacobian = hand_jacobian(plant.hand.fingertips(grasp[1]), contacts.positions, axes)
     arms = contacts.positions - contacts.centroid
     rates = np.linalg.solve(jacobian.reshape(9, 9), grasp_map(arms, axes).T)
-    square, mass = (arms**2).sum() / 3.0, 0.7 * 3.0 / 9.81
+    square, mass = (arms**2).sum() / 3.0, 1.5 * 2.0 / 9.81
     for part, inertia, turned in (slice(0, 3), mass, 1.0), (slice(3, 6), mass * square, 2.0):
         of_motion = np.linalg.inv(rates[:, part].T @ damping @ rates[:, part])
         inverse = 4.0 * turned * (late * of_motion + inertia * of_motion @ of_motion)
@@ -312,7 +312,7 @@ def test_with_encoders_only_what_moves_the_object_is_damped_as_k_f_needs_it(tmp_
     quietest = np.sqrt(allowed / (1e-3 * np.linalg.eigvalsh(inertia)))
 
     def bandwidths(grasp_force):
-        return np.linalg.eigvals(np.linalg.solve(inertia, gains.at(grasp_force)[0])).real
+        return np.linalg.eigvals(np.linalg.solve(inertia, gains.at(grasp_force, 0.0)[0])).real
 
     quiet = np.sort(
         bandwidths(0.0)

@@ -189,7 +189,7 @@ def test_integral_and_observed_load_are_carried_together(grip, gain):
 
 
 def test_coarse_encoders_lengthen_the_time_of_the_load_observer(grip):
-    """4 / w as the fitted gains say, if the user's time is not longer."""
+    """As long as the fitted gains say, if the user's time is not longer."""
     forces, none = np.tile([0.1, 1.0, -0.2], (3, 1)), np.zeros((9, 9))
     for time, lasts in ((0.02, 0.1), (0.3, 0.3)):
         law = ManipulationLaw(LawConfig(observer={"time": time}), RADII)
