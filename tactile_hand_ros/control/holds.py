@@ -158,12 +158,11 @@ def fitted_gains(
     needed = required**2 * touch / _POSE_PHASE
     wrenches = _rates_of_twists(motions).T @ momenta
     rest = still.T @ quiet @ still
-    lags = np.repeat([1.0, 2.0], 3) / _POSE_PHASE  # |r_d| is twice the angle
-    square = (centered(contacts.positions) ** 2).sum() / hand.fingers
-    body = lags * np.repeat([1.0, square], 3) * _MASS
     observes = _OBSERVES / quietest.min(initial=largest)
-    lags *= touch + max(follows, observes)
-    return FittedGains(rest, momenta, wrenches, quietest, needed, largest, lags, body, observes)
+    lag = (touch + max(follows, observes)) / _POSE_PHASE
+    square = (centered(contacts.positions) ** 2).sum() / hand.fingers
+    body = np.repeat([1.0, square], 3) * _MASS / _POSE_PHASE
+    return FittedGains(rest, momenta, wrenches, quietest, needed, largest, lag, body, observes)
 
 
 def largest_damping(

@@ -181,7 +181,7 @@ def bearable_fraction(part: Array, rest: Array, limits: Array) -> float:
 
 
 _NO_LOAD = 1e-3  # N, keeps the inertia of an object regular
-_BLOCKS = np.kron(np.eye(2), np.ones((3, 3)))  # force by translation, torque by rotation
+_OF_ERRORS = np.repeat([1.0, 0.5], 3)  # |r_d| is twice the angle
 
 
 class FittedGains(NamedTuple):
@@ -194,8 +194,8 @@ class FittedGains(NamedTuple):
         quietest: w up to which angle errors may shake the hand at any k_f, shape (n,), rad/s.
         needed: w that k_f needs, rad/s per N.
         largest: w up to which held and late torques damp, rad/s.
-        lags: L of K_p = D (L D + |w| B_o)^-1 D, by rows: the D / K_p of a light object, (6,), s.
-        body: B_o, by rows: inertia of an object of 1 N, with its lag, (6,), s^2/m and m s^2.
+        lag: L of K_p = D (L D + |w| diag B)^-1 D, so that K_p = D / L for light objects, s.
+        body: B, (6,): inertia of an object of 1 N over the phase that it may cost, s^2/m and m s^2.
         observes: Smallest time constant of the load observer, s.
     """
 
@@ -205,16 +205,20 @@ class FittedGains(NamedTuple):
     quietest: Array
     needed: float
     largest: float
-    lags: Array
+    lag: float
     body: Array
     observes: float
 
     def at(self, grasp_force: float, load: float) -> tuple[Array, Array]:
-        """Return K_c, (m, m), N m s/rad, and K_p, (6, 6), of a k_f and the force of a load, N."""
+        """Return K_c, (m, m), N m s/rad, and K_p, (6, 6), of a k_f and the force of a load, N.
+
+        K_p couples position and orientation as the damping does: without that, a soft direction in
+        which the object turns about a point beside the contacts would be too stiff.
+        """
         w = np.minimum(np.maximum(self.quietest, self.needed * grasp_force), self.largest)
-        damping = _BLOCKS * ((self.wrenches * w) @ self.wrenches.T)
-        late = self.lags[:, None] * damping + np.diag(max(load, _NO_LOAD) * self.body)
-        stiffness = damping @ np.linalg.solve(late, damping)
+        damping = (self.wrenches * w) @ self.wrenches.T
+        late = self.lag * damping + np.diag(max(load, _NO_LOAD) * self.body)
+        stiffness = damping @ np.linalg.solve(late, damping) * _OF_ERRORS
         return self.rest + (self.momenta * w) @ self.momenta.T, stiffness
 
 
