@@ -194,7 +194,7 @@ class FittedGains(NamedTuple):
         quietest: w up to which angle errors may shake the hand at any k_f, shape (n,), rad/s.
         needed: w that k_f needs, rad/s per N.
         largest: w up to which held and late torques damp, rad/s.
-        lag: L of K_p = D (L D + |w| diag B)^-1 D, so that K_p = D / L for light objects, s.
+        lag: L of K_p = D (L D + F diag B)^-1 D with a load F, so D / L for light objects, s.
         body: B, (6,): inertia of an object of 1 N over the phase that it may cost, s^2/m and m s^2.
         observes: Smallest time constant of the load observer, s.
     """
@@ -365,10 +365,10 @@ class ManipulationLaw:
         wrench, damping, pull = self._gains * error, c.damping * rates, np.zeros(6)
         if self._fitted is not None and not self.fits:
             force = self.integral[:3] + self._observer.wrench[:3]  # of the last tick
-            gains = self._fitted.at(seen.grasp_force, math.sqrt(force.dot(force)))
-            pull = gains[1] @ error
+            fitted, stiffness = self._fitted.at(seen.grasp_force, math.sqrt(force.dot(force)))
+            pull = stiffness @ error
             wrench = np.where(self._gains > 0.0, wrench, pull)
-            damping = damping if c.damping > 0.0 else gains[0] @ rates
+            damping = damping if c.damping > 0.0 else fitted @ rates
         self._integrate(error, pull, dt)
         law = self._law
         law.seen = seen
