@@ -129,7 +129,7 @@ def fitted_gains(
 
     The pose is t late, and the object, of inertia m, follows the damping after m / D. Both cost
     phase of the stiffness, so K_p = p D / (t + m / D), with the m of an object whose weight is the
-    observed load, as far from its center as the contacts.
+    load of `FittedGains.at`, as far from its center as the contacts.
 
     Args:
         hand: The hand.

@@ -180,6 +180,7 @@ def bearable_fraction(part: Array, rest: Array, limits: Array) -> float:
     return max(fraction, 0.0)
 
 
+_CARRIES = 0.25  # of k_f, a load that it bears with its reserve
 _NO_LOAD = 1e-3  # N, keeps the inertia of an object regular
 _OF_ERRORS = np.repeat([1.0, 0.5], 3)  # |r_d| is twice the angle
 
@@ -212,12 +213,15 @@ class FittedGains(NamedTuple):
     def at(self, grasp_force: float, load: float) -> tuple[Array, Array]:
         """Return K_c, (m, m), N m s/rad, and K_p, (6, 6), of a k_f and the force of a load, N.
 
-        K_p couples position and orientation as the damping does: without that, a soft direction in
-        which the object turns about a point beside the contacts would be too stiff.
+        An object on a support shows no load, so the load counts at least as a quarter of k_f, which
+        a grasp bears with its reserve. K_p couples position and orientation as the damping does:
+        without that, a soft direction in which the object turns about a point beside the contacts
+        would be too stiff.
         """
         w = np.minimum(np.maximum(self.quietest, self.needed * grasp_force), self.largest)
         damping = (self.wrenches * w) @ self.wrenches.T
-        late = self.lag * damping + np.diag(max(load, _NO_LOAD) * self.body)
+        force = max(load, _CARRIES * grasp_force, _NO_LOAD)
+        late = self.lag * damping + np.diag(force * self.body)
         stiffness = damping @ np.linalg.solve(late, damping) * _OF_ERRORS
         return self.rest + (self.momenta * w) @ self.momenta.T, stiffness
 
