@@ -257,12 +257,11 @@ def test_gains_that_fit_a_hand_leave_each_motion_its_damping(tick, name):
     assert_allclose(stiffness * turns @ inverse, np.eye(6), atol=1e-6)
 
 
-@pytest.mark.parametrize("bits", [14, 16])
-def test_an_object_above_its_contacts_does_not_topple(bits):
-    """300 g, with the center of mass 20 mm higher, in light fingers."""
+def test_an_object_above_its_contacts_does_not_topple():
+    """300 g, with the center of mass 20 mm higher, in light fingers with coarse encoders."""
     box = {"size": [0.04, 0.04, 0.09], "mass": 0.3, "position": [0.0, 0.0, 0.0819]}
     changes = {f"plant.object.{name}": value for name, value in box.items()}
-    changes |= {"plant.encoder.bits": bits, "duration": 2.5}
+    changes |= {"plant.encoder.bits": 14, "duration": 2.5}
     record = ClosedLoop(load_scenario("human_hold", changes)).run()
     late = record.object_quaternion[1000:]
     assert np.abs(late @ late[0]).min() > np.cos(0.5 * 0.1)  # half of an angle of 0.1 rad
