@@ -215,8 +215,7 @@ class FittedGains(NamedTuple):
 
         An object on a support shows no load, so the load counts at least as a quarter of k_f, which
         a grasp bears with its reserve. K_p couples position and orientation as the damping does:
-        without that, a soft direction in which the object turns about a point beside the contacts
-        would be too stiff.
+        two blocks would be too stiff where an object turns about a point beside its contacts.
         """
         w = np.minimum(np.maximum(self.quietest, self.needed * grasp_force), self.largest)
         damping = (self.wrenches * w) @ self.wrenches.T
@@ -386,8 +385,8 @@ class ManipulationLaw:
         if c.observer.time > 0.0 and forces is not None:
             # What a guard carries is to be carried from the first tick that acts again.
             passed = dt if self.acts else np.inf
-            time = max(c.observer.time, self._fitted.observes if self._fitted else 0.0)
-            return self.integral + self._observer.step(c.observer, contacts, forces, passed, time)
+            slower = self._fitted.observes if self._fitted else 0.0
+            return self.integral + self._observer.step(c.observer, contacts, forces, passed, slower)
         return self.integral if self._integrates else None
 
     def _integrate(self, error: Array, pull: Array, dt: float) -> None:

@@ -162,16 +162,21 @@ class LoadObserver:
         self.wrench = np.zeros(6)
 
     def step(
-        self, config: ObserverConfig, contacts: Contacts, forces: Array, dt: float, time: float
+        self,
+        config: ObserverConfig,
+        contacts: Contacts,
+        forces: Array,
+        dt: float,
+        slower: float = 0.0,
     ) -> Array:
         """Return the wrench to carry, about the contact centroid, shape (6,), N and N m.
 
-        Measured forces are in contact frames, (k, 3), N; `dt` is the time since the last tick, s,
-        and `time` is T, s.
+        Measured forces are in contact frames, (k, 3), N; `dt` is the time since the last tick, s.
+        T is `slower`, s, if that is more than the configured time.
         """
         measured = net_wrench(contacts.positions, contacts.rotations, forces)
         if all_finite(measured):
-            fraction = 1.0 - math.exp(-dt / time)
+            fraction = 1.0 - math.exp(-dt / max(config.time, slower))
             self.wrench = self.wrench + fraction * (measured - self.wrench)
             limit_wrench(self.wrench, config.force_limit, config.torque_limit)
         return self.wrench

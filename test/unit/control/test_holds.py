@@ -312,9 +312,7 @@ def test_with_encoders_only_what_moves_the_object_is_damped_as_k_f_needs_it(tmp_
     def bandwidths(grasp_force):
         return np.linalg.eigvals(np.linalg.solve(inertia, gains.at(grasp_force, 0.0)[0])).real
 
-    quiet = np.sort(
-        bandwidths(0.0)
-    )  # each axis shakes the hand alike: light joints are damped more
+    quiet = np.sort(bandwidths(0.0))  # each axis shakes the hand alike, so light joints have more
     assert quiet[0] > 0.999 * quietest.min() and 0.5 < quiet[-1] / quietest.max() < 1.001
     assert np.sort(bandwidths(1e9))[-6:] == pytest.approx(1000.0, rel=1e-6)
     most = 0.5 * (quietest.max() + 1000.0)

@@ -193,7 +193,7 @@ NET = balance_in_frames(GRASP) @ FORCES.ravel()  # of the grasp, about its centr
 def settled(config):
     """Return an observer after a hundred time constants with constant forces."""
     observer = LoadObserver()
-    observer.step(config, GRASP, FORCES, 100.0 * TIME, TIME)
+    observer.step(config, GRASP, FORCES, 100.0 * config.time)
     return observer
 
 
@@ -203,12 +203,12 @@ def test_a_step_is_met_as_by_a_low_pass():
     for ticks, dt in ((1, DT), (25, DT), (200, DT), (10, 0.005), (1, TIME)):
         observer = LoadObserver()
         for _ in range(ticks):
-            carried = observer.step(config, GRASP, FORCES, dt, TIME)
+            carried = observer.step(config, GRASP, FORCES, dt)
         share = 1.0 - math.exp(-ticks * dt / TIME)
         np.testing.assert_allclose(carried, share * NET, rtol=1e-12)
     first = carried.copy()
-    np.testing.assert_array_equal(observer.step(config, GRASP, 3.0 * FORCES, 0.0, TIME), first)
-    second = observer.step(config, GRASP, -2.0 * FORCES, TIME, TIME)
+    np.testing.assert_array_equal(observer.step(config, GRASP, 3.0 * FORCES, 0.0), first)
+    second = observer.step(config, GRASP, -2.0 * FORCES, TIME)
     np.testing.assert_allclose(second, math.exp(-1.0) * first - 2.0 * share * NET, rtol=1e-12)
 
 
@@ -226,12 +226,12 @@ def test_the_limited_load_does_not_wind_up():
     config = ObserverConfig(time=TIME, force_limit=0.5, torque_limit=0.01)
     observer = LoadObserver()
     for _ in range(1000):
-        carried = observer.step(config, GRASP, FORCES, DT, TIME)
+        carried = observer.step(config, GRASP, FORCES, DT)
     full = carried.copy()
     np.testing.assert_allclose(
         [np.linalg.norm(full[:3]), np.linalg.norm(full[3:])], [0.5, 0.01], rtol=1e-12
     )
-    gone = observer.step(config, GRASP, np.zeros((3, 3)), DT, TIME)
+    gone = observer.step(config, GRASP, np.zeros((3, 3)), DT)
     np.testing.assert_allclose(gone, math.exp(-DT / TIME) * full, rtol=1e-12)
     np.testing.assert_array_equal(carried, full)  # what was handed out does not change later
 
@@ -244,10 +244,10 @@ def test_lost_forces_keep_the_load_until_they_return(value):
     lost = FORCES.copy()
     lost[1, 2] = value
     for _ in range(3):
-        np.testing.assert_array_equal(observer.step(config, GRASP, lost, DT, TIME), before)
+        np.testing.assert_array_equal(observer.step(config, GRASP, lost, DT), before)
     positions = GRASP.positions.copy()
     positions[2] = value
     apart = Contacts(positions, GRASP.rotations)  # a lost point, though its force is known
-    np.testing.assert_array_equal(observer.step(config, apart, 2.0 * FORCES, DT, TIME), before)
-    doubled = observer.step(config, GRASP, 2.0 * FORCES, DT, TIME)
+    np.testing.assert_array_equal(observer.step(config, apart, 2.0 * FORCES, DT), before)
+    doubled = observer.step(config, GRASP, 2.0 * FORCES, DT)
     np.testing.assert_allclose(doubled, (2.0 - math.exp(-DT / TIME)) * before, rtol=1e-12)

@@ -178,7 +178,7 @@ def test_a_move_ends_where_a_contact_nears_the_rim_and_may_go_back():
     for row in range(ticks):
         command = loop.answer(record, row)
         margins.append(watch.margins(record.theta[row], loop.state.contacts).hemisphere)
-        if "to the rim of its fingertip; go back" in command.reason:
+        if "the move ends here: it brings the contact of middle to the rim" in command.reason:
             stops.append(row)
         if row == 2200:
             loop.controller.targets.command(home)
