@@ -42,9 +42,13 @@ def test_a_killed_controller_in_real_time_costs_no_object(tmp_path):
         graph.wait(lambda: np.linalg.norm(graph.position() - start) > 0.02, "the motion")
         graph.kill("manipulation_controller")
         graph.wait(lambda: holds(graph), "the plant's word")
+        # What was seen of the object may be older than the word, so the hand may brake after it.
+        until = graph.time + 0.5
+        graph.wait(lambda: graph.time > until, "its stop")
         at, until = graph.position(), graph.time + 1.0
         graph.wait(lambda: graph.time > until, "a second of the hold")
-        assert np.linalg.norm(graph.position() - at) < 0.003
+        assert np.linalg.norm(graph.position() - at) < 0.001
+        assert np.linalg.norm(P_D - at) > 0.02
         assert np.isfinite(graph.contacts).all()
         assert 8.0 < graph.forces[:, 1].sum() < 48.0
         assert told[-1]
