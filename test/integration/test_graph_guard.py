@@ -28,8 +28,7 @@ def holds(graph: Graph) -> bool:
 
 def test_a_killed_controller_in_real_time_costs_no_object(tmp_path):
     with isolated_domain() as domain, Graph(SCENARIO, domain, tmp_path) as graph:
-        told: list[bool] = []
-        known: list[str] = []
+        told, known = list[bool](), list[str]()
         requests = names.accepted_requests(names.CONTROLLER)
         graph.node.create_subscription(
             Bool, names.JOINT_HOLD, lambda m: told.append(m.data), qos.latched_qos()
@@ -42,11 +41,9 @@ def test_a_killed_controller_in_real_time_costs_no_object(tmp_path):
         graph.wait(lambda: np.linalg.norm(graph.position() - start) > 0.02, "the motion")
         graph.kill("manipulation_controller")
         graph.wait(lambda: holds(graph), "the plant's word")
-        # What was seen of the object may be older than the word, so the hand may brake after it.
-        until = graph.time + 0.5
-        graph.wait(lambda: graph.time > until, "its stop")
-        at, until = graph.position(), graph.time + 1.0
-        graph.wait(lambda: graph.time > until, "a second of the hold")
+        for word in ("its stop", "the hold"):  # what was seen may be older than the plant's word
+            at, until = graph.position(), graph.time + 1.0
+            graph.wait(lambda end=until: graph.time > end, word)
         assert np.linalg.norm(graph.position() - at) < 0.001
         assert np.linalg.norm(P_D - at) > 0.02
         assert np.isfinite(graph.contacts).all()
