@@ -70,25 +70,34 @@ def _environment(tree: Path, folder: str) -> dict[str, str]:
     return made | ({"TACTILE_HAND_INTERPRETED": "1"} if is_plain else {})
 
 
-def coverage_map(tree: Path, folder: str, scratch: Path) -> CoverageMap:
+def coverage_map(tree: Path, folder: str, scratch: Path, jobs: int) -> CoverageMap:
     """Run the tests of a folder, and the property tests that import from it, once."""
     top, module = tree / "test" / "unit", f"tactile_hand_ros.{folder.replace('/', '.')}"
     found = list((top / folder).rglob("test_*.py") if folder else top.glob("test_*.py"))
     laws = (tree / "test" / "property").glob("test_*.py")
-    suites = [str(path) for path in [*found, *(p for p in laws if module in p.read_text())]]
-    name = folder.replace("/", "-")
-    results, lines, settings = (scratch / f"{name}.{end}" for end in ("xml", "lines", "cfg"))
+    suites = [*found, *(path for path in laws if module in path.read_text())]
+    settings, name = scratch / "coverage.cfg", folder.replace("/", "-")
     settings.write_text("[run]\nsource = tactile_hand_ros\ndynamic_context = test_function\n")
-    watched = ["-m", "coverage", "run", f"--rcfile={settings}", f"--data-file={lines}"]
-    # A timeout in a Hypothesis test may end the whole pytest run.
-    options = [*_QUIET, "--timeout=600", f"--junit-xml={results}"]
-    command = [sys.executable, *watched, "-m", "pytest", *options, *suites]
     print(f"measuring the coverage of the tests of '{folder}'", flush=True)
-    variables = _environment(tree, folder)
-    subprocess.run(command, cwd=tree, env=variables, check=False, stdout=subprocess.DEVNULL)
-    data = CoverageData(str(lines))
-    data.read()
-    return CoverageMap(data, tree, _durations(results))
+
+    def run(suite: Path) -> tuple[CoverageData, dict[str, float]]:
+        results, lines = (scratch / f"{name}-{suite.stem}.{end}" for end in ("xml", "lines"))
+        watched = ["-m", "coverage", "run", f"--rcfile={settings}", f"--data-file={lines}"]
+        # A timeout in a Hypothesis test may end the whole pytest run.
+        options = [*_QUIET, "--timeout=600", f"--junit-xml={results}"]
+        command = [sys.executable, *watched, "-m", "pytest", *options, str(suite)]
+        variables = _environment(tree, folder)
+        subprocess.run(command, cwd=tree, env=variables, check=False, stdout=subprocess.DEVNULL)
+        data = CoverageData(str(lines))
+        data.read()
+        return data, _durations(results)
+
+    merged, durations = CoverageData(no_disk=True), dict[str, float]()
+    with ThreadPoolExecutor(jobs) as pool:
+        for data, lasted in pool.map(run, suites):
+            merged.update(data)
+            durations |= lasted
+    return CoverageMap(merged, tree, durations)
 
 
 def _durations(results: Path) -> dict[str, float]:
@@ -137,7 +146,8 @@ def run_trials(
     for number in range(jobs):
         trees.put(shutil.copytree(root, scratch / f"tree-{number}", ignore=ignored))
     first = scratch / "tree-0"
-    maps = {f: coverage_map(first, f, scratch) for f in {folder_of(m.path) for m in mutants}}
+    folders = {folder_of(mutant.path) for mutant in mutants}
+    maps = {folder: coverage_map(first, folder, scratch, jobs) for folder in folders}
 
     def attempt(mutant: Mutant) -> str:
         folder = folder_of(mutant.path)
