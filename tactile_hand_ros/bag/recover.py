@@ -152,14 +152,17 @@ class _Copy:
 
     def add(self, file: Path) -> None:
         """Add all messages and metadata of a file, up to its index or its truncated end."""
-        self._schemas, self._channels = {}, {}
+        self._schemas, self._channels, is_chunked = {}, {}, False
         with file.open("rb") as stream:
             if not _MAGIC.startswith(stream.read(len(_MAGIC))):
                 raise BagError(f"The file {file} is not an MCAP file; only those can be recovered.")
             self._index = _index(stream)
             for record in _records(stream, self._index):
+                is_chunked = is_chunked or isinstance(record, Chunk)
                 if isinstance(record, int):
                     self.left += record
+                elif is_chunked and isinstance(record, Message):  # a damaged index
+                    self.left += len(record.data)
                 else:
                     self._add_record(record)
 
