@@ -104,9 +104,10 @@ def _index(stream: BinaryIO) -> Summary:
 def _records(stream: BinaryIO, index: Summary) -> Iterator[McapRecord | int]:
     """Yield the records of a file up to its index, and the size of each damaged part, bytes.
 
-    A record that runs over the start of a chunk, or ends the data before one, is damaged.
+    A record that runs over the start of a chunk, or ends the data before one, is damaged. So is a
+    message between chunks: it was an index.
     """
-    size, begin = stream.seek(0, os.SEEK_END), len(_MAGIC)
+    size, begin, is_chunked = stream.seek(0, os.SEEK_END), len(_MAGIC), False
     starts = (at.chunk_start_offset for at in index.chunk_indexes)
     chunks = sorted(start for start in starts if start < size)
     while begin < size:
@@ -119,8 +120,9 @@ def _records(stream: BinaryIO, index: Summary) -> Iterator[McapRecord | int]:
                     return
                 if isinstance(record, DataEnd) or after > before:
                     break
-                end = stream.tell()
-                yield record
+                start, end = end, stream.tell()
+                is_chunked = is_chunked or isinstance(record, Chunk)
+                yield end - start if is_chunked and isinstance(record, Message) else record
         begin = next((at for at in chunks if at > end), size)
         if begin > end:
             yield begin - end
@@ -152,17 +154,14 @@ class _Copy:
 
     def add(self, file: Path) -> None:
         """Add all messages and metadata of a file, up to its index or its truncated end."""
-        self._schemas, self._channels, is_chunked = {}, {}, False
+        self._schemas, self._channels = {}, {}
         with file.open("rb") as stream:
             if not _MAGIC.startswith(stream.read(len(_MAGIC))):
                 raise BagError(f"The file {file} is not an MCAP file; only those can be recovered.")
             self._index = _index(stream)
             for record in _records(stream, self._index):
-                is_chunked = is_chunked or isinstance(record, Chunk)
                 if isinstance(record, int):
                     self.left += record
-                elif is_chunked and isinstance(record, Message):  # a damaged index
-                    self.left += len(record.data)
                 else:
                     self._add_record(record)
 
