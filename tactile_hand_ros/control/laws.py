@@ -214,8 +214,8 @@ class FittedGains(NamedTuple):
         """Return K_c, (m, m), N m s/rad, and K_p, (6, 6), of a k_f and the force of a load, N.
 
         An object on a support shows no load, so the load counts at least as a quarter of k_f, which
-        a grasp bears with its reserve. K_p couples position and orientation as the damping does:
-        two blocks would be too stiff where an object turns about a point beside its contacts.
+        a grasp bears with its reserve. K_p couples position and orientation, as the damping does.
+        Without the coupling, a turn about a point beside the contacts would be too stiff.
         """
         w = np.minimum(np.maximum(self.quietest, self.needed * grasp_force), self.largest)
         damping = (self.wrenches * w) @ self.wrenches.T

@@ -126,8 +126,8 @@ class SlipRegulator:
         self._kept: list[tuple[int, Rows]] = []
         self._detector.reset()
         self._estimator.reset()
-        unknown = np.full((self._fingers, 3), np.nan)
-        self.carried = CarriedLoad(unknown, self._usable_friction, self._required.reserve)
+        unknown, usable = np.full((self._fingers, 3), np.nan), self._usable(self.learned_friction)
+        self.carried = CarriedLoad(unknown, usable, self._required.reserve)
 
     def reject_touch(self, rejected: NDArray[np.bool_]) -> None:
         """Ignore the touch of some fingers, shape (k,), from the next tick on.
@@ -171,9 +171,8 @@ class SlipRegulator:
         """Learned mu of each contact, shape (k,)."""
         return self._estimator.estimate
 
-    @property
-    def _usable_friction(self) -> Array:
-        return self.learned_friction / (1.0 + self.config.reflex.margin)
+    def _usable(self, friction: Array) -> Array:
+        return friction / (1.0 + self.config.reflex.margin)
 
     def request(self, grasp_force: float) -> None:
         """Request a k_f in N for the user.
@@ -283,7 +282,8 @@ class SlipRegulator:
         self, contacts: Contacts, parts: Split | None, at: Array, dt: float, grasped: bool = False
     ) -> None:
         """Update the required grasp force and the load, unknown without the parts of the forces."""
-        friction, required, usable = self.learned_friction, self._required, self._usable_friction
+        friction, required = self.learned_friction, self._required
+        usable = self._usable(friction)
         if parts is None:
             required.lose()
             self.needed = self.ready = math.nan
