@@ -257,11 +257,12 @@ def test_gains_that_fit_a_hand_leave_each_motion_its_damping(tick, name):
     assert_allclose(stiffness * turns @ inverse, np.eye(6), atol=1e-6)
 
 
-def test_an_object_above_its_contacts_does_not_topple():
-    """300 g, with the center of mass 20 mm higher, in light fingers with coarse encoders."""
+@pytest.mark.parametrize("bits", [14, 16])
+def test_an_object_above_its_contacts_does_not_topple(bits):
+    """300 g, with the center of mass 20 mm higher, in light fingers."""
     box = {"size": [0.04, 0.04, 0.09], "mass": 0.3, "position": [0.0, 0.0, 0.0819]}
     changes = {f"plant.object.{name}": value for name, value in box.items()}
-    changes |= {"plant.encoder.bits": 14, "duration": 2.5}
+    changes |= {"plant.encoder.bits": bits, "duration": 2.5}
     record = ClosedLoop(load_scenario("human_hold", changes)).run()
     late = record.object_quaternion[1000:]
     assert np.abs(late @ late[0]).min() > np.cos(0.5 * 0.1)  # half of an angle of 0.1 rad
@@ -312,7 +313,7 @@ def test_with_encoders_only_what_moves_the_object_is_damped_as_k_f_needs_it(tmp_
     def bandwidths(grasp_force):
         return np.linalg.eigvals(np.linalg.solve(inertia, gains.at(grasp_force, 0.0)[0])).real
 
-    quiet = np.sort(bandwidths(0.0))  # each axis shakes the hand alike, so light joints have more
+    quiet = np.sort(bandwidths(0.0))  # each axis shakes the hand alike: light joints bear more
     assert quiet[0] > 0.999 * quietest.min() and 0.5 < quiet[-1] / quietest.max() < 1.001
     assert np.sort(bandwidths(1e9))[-6:] == pytest.approx(1000.0, rel=1e-6)
     most = 0.5 * (quietest.max() + 1000.0)
