@@ -57,11 +57,13 @@ class Contacts:
     @cached_property
     def enough_touching(self) -> bool:
         """Whether enough fingers touch to hold an object without the others (A7)."""
-        return bool(self.touching.sum() >= min(MIN_CONTACTS, len(self.positions)))
+        return bool(sum(self.touching.tolist()) >= min(MIN_CONTACTS, len(self.positions)))
 
     def part(self, chosen: NDArray[np.bool_]) -> Contacts:
         """Return the contacts of the fingers in a mask of shape (k,)."""
-        return self if chosen.all() else Contacts(self.positions[chosen], self.rotations[chosen])
+        if all(chosen.tolist()):
+            return self
+        return Contacts(self.positions[chosen], self.rotations[chosen])
 
     def replaced(self, chosen: NDArray[np.bool_], part: Contacts) -> Contacts:
         """Return the contacts with others for the fingers in a mask of shape (k,)."""
@@ -71,8 +73,6 @@ class Contacts:
 
     def without(self, missing: NDArray[np.bool_]) -> Contacts:
         """Return the contacts without those of the fingers in a mask of shape (k,)."""
-        if not missing.any():
-            return self
         return Contacts(np.where(missing[:, None], np.nan, self.positions), self.rotations)
 
     @property
@@ -114,13 +114,17 @@ def _touching(positions: Array, rotations: Array) -> NDArray[np.bool_]:
     return out
 
 
-def tip_gaps(tips: Fingertips, contacts: Contacts, radii: Array) -> Array:
+@compiled
+def tip_gaps(tips: Fingertips, points: Array, rotations: Array, radii: Array) -> Array:
     """Return the contacts less the points p_f + r n of the fingertips, shape (k, 3), m.
 
     A contact lies on its fingertip, so this is what joints and touch disagree about. The radii, m,
     have the shape (k,).
     """
-    return contacts.positions - tips.positions - radii[:, None] * contacts.normals
+    out = points - tips.positions
+    for i in range(len(out)):
+        out[i] -= radii[i] * rotations[i, :, 1]
+    return out
 
 
 @compiled
@@ -186,6 +190,17 @@ def in_palm(rotations: Array, forces: Array, scale: float) -> Array:
         r, f = rotations[i], forces[i]
         for j in range(3):
             out[i, j] = scale * (r[j, 0] * f[0] + r[j, 1] * f[1] + r[j, 2] * f[2])
+    return out
+
+
+@compiled
+def in_contacts(rotations: Array, forces: Array) -> Array:
+    """Return forces of palm axes, shape (k, 3), in contact frames."""
+    out = np.empty_like(forces)
+    for i in range(len(forces)):
+        r, f = rotations[i], forces[i]
+        for j in range(3):
+            out[i, j] = r[0, j] * f[0] + r[1, j] * f[1] + r[2, j] * f[2]
     return out
 
 

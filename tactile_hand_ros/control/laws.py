@@ -217,12 +217,17 @@ class FittedGains(NamedTuple):
         a grasp bears with its reserve. K_p couples position and orientation, as the damping does.
         Without the coupling, a turn about a point beside the contacts would be too stiff.
         """
-        w = np.minimum(np.maximum(self.quietest, self.needed * grasp_force), self.largest)
-        damping = (self.wrenches * w) @ self.wrenches.T
-        force = max(load, _CARRIES * grasp_force, _NO_LOAD)
-        late = self.lag * damping + np.diag(force * self.body)
-        stiffness = damping @ np.linalg.solve(late, damping) * _OF_ERRORS
-        return self.rest + (self.momenta * w) @ self.momenta.T, stiffness
+        return _gains_at(self, grasp_force, load)
+
+
+@compiled
+def _gains_at(gains: FittedGains, grasp_force: float, load: float) -> tuple[Array, Array]:
+    w = np.minimum(np.maximum(gains.quietest, gains.needed * grasp_force), gains.largest)
+    damping = (gains.wrenches * w) @ gains.wrenches.T
+    force = max(load, _CARRIES * grasp_force, _NO_LOAD)
+    late = gains.lag * damping + np.diag(force * gains.body)
+    stiffness = damping @ np.linalg.solve(late, damping) * _OF_ERRORS
+    return gains.rest + (gains.momenta * w) @ gains.momenta.T, stiffness
 
 
 class LawInput(NamedTuple):
@@ -268,6 +273,7 @@ class ManipulationLaw:
 
     Attributes:
         acts: Whether its torques reach the joints; otherwise the integral waits.
+        fits: Whether all gains are given, so that none must be fitted to the hand.
         integral: Wrench of the integral action, shape (6,), N and N m.
     """
 
@@ -290,17 +296,16 @@ class ManipulationLaw:
         self.config = config
         self._law = law_of(config)(config, self._radii)
         self._gains = np.repeat([config.k_p, config.k_o], 3)
+        self._is_given = self._gains > 0.0
+        self.fits = bool(self._is_given.all()) and config.damping > 0.0
         c = config.integral
         self._integrates = max(c.k_p, c.k_o, c.time) > 0.0
+        gains, fitted = np.repeat([c.k_p, c.k_o], 3), 1.0 / c.time if c.time > 0.0 else 0.0
+        self._integral_gains = gains, fitted, gains + fitted > 0.0
         if not self._integrates:
             self.integral[:] = 0.0
         if config.observer.time == 0.0:
             self._observer.reset()
-
-    @property
-    def fits(self) -> bool:
-        """Whether all gains are given, so that none must be fitted to the hand."""
-        return bool((self._gains > 0.0).all()) and self.config.damping > 0.0
 
     def fit(self, gains: FittedGains) -> None:
         """Use fitted gains where none are given."""
@@ -370,7 +375,7 @@ class ManipulationLaw:
             force = self.integral[:3] + self._observer.wrench[:3]  # of the last tick
             fitted, stiffness = self._fitted.at(seen.grasp_force, math.sqrt(force.dot(force)))
             pull = stiffness @ error
-            wrench = np.where(self._gains > 0.0, wrench, pull)
+            wrench = np.where(self._is_given, wrench, pull)
             damping = damping if c.damping > 0.0 else fitted @ rates
         self._integrate(error, pull, dt)
         law = self._law
@@ -396,10 +401,9 @@ class ManipulationLaw:
         """
         if not (self._integrates and self.acts):
             return
-        c = self.config.integral
-        gains, fitted = np.repeat([c.k_p, c.k_o], 3), 1.0 / c.time if c.time > 0.0 else 0.0
+        c, (gains, fitted, integrated) = self.config.integral, self._integral_gains
         added = gains * dt * error + fitted * dt * pull
-        self.integral = np.where(gains + fitted > 0.0, self.integral + added, 0.0)
+        self.integral = np.where(integrated, self.integral + added, 0.0)
         limit_wrench(self.integral, c.force_limit, c.torque_limit)
 
 

@@ -17,10 +17,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_hand_ros.compiled import Array
+from tactile_hand_ros.compiled import Array, compiled
 from tactile_hand_ros.control.contact import OFF_TIP, Contacts, in_palm, joint_torques, tip_gaps
 from tactile_hand_ros.hand.hand import Dynamics, Fingertips, Hand
-from tactile_hand_ros.rotations import vector_from_rotation
+from tactile_hand_ros.rotations import dot, vector_from_rotation
 
 _STANDING = 0.5  # fraction of the tolerance of touch that contacts may move while the joints rest
 _SUM = 1e-3  # largest error of sum f*_n = 1
@@ -44,14 +44,21 @@ def implausible_touch(
     All fingers touch. Their radii and the largest distances of the contacts from their tips have
     the shape (k,), m.
     """
-    off = tip_gaps(tips, contacts, radii)
-    gaps = np.sqrt((off * off).sum(axis=1))
-    away = ~(gaps <= allowed)
+    gaps = tip_gaps(tips, contacts.positions, contacts.rotations, radii)
+    away = _are_longer(gaps, allowed)
     if not away.any():
         return None
-    gap = 1e3 * gaps[away].max()
+    gap = 1e3 * np.linalg.norm(gaps[away], axis=1).max()
     reason = f"a contact is {gap:.2g} mm off its fingertip; holding until joints and touch fit"
     return Doubt(reason, away)
+
+
+@compiled
+def _are_longer(vectors: Array, lengths: Array) -> Fingers:
+    out = np.empty(len(vectors), dtype=np.bool_)
+    for i in range(len(vectors)):
+        out[i] = not math.sqrt(dot(vectors[i], vectors[i])) <= lengths[i]
+    return out
 
 
 def implausible_shape(optimal_forces: Array) -> str:
@@ -110,6 +117,7 @@ class ForceTorqueCheck:
 
     def __init__(self, hand: Hand) -> None:
         """Start without samples of a hand."""
+        self._own = hand.moves.astype(float)  # 1 for the joints of a finger, shape (k, m)
         self._minimum = hand.minimum_force * hand.spans
         reach = float(np.max(np.linalg.norm(hand.bases, axis=1) + hand.spans))
         self._swung = hand.finger_mass * reach * hand.spans  # per 1/s^2, kg m^2
@@ -155,15 +163,14 @@ class ForceTorqueCheck:
         before, self._last = self._last, (stamp, rates)
         if before is None or stamp <= before[0]:
             return None
-        tips, inertia, bias = terms
         dt = 1e-9 * (stamp - before[0])
-        pressed = applied - inertia @ (rates - before[1]) / dt - bias
-        seen = in_palm(contacts.rotations, forces, 1.0)
-        measured = joint_torques(tips, contacts.positions, seen)
+        acceleration, touch = (rates - before[1]) / dt, (contacts.positions, contacts.rotations)
+        errors = np.full(rates.shape, limits.rates) / COMPARISON_TIME
+        seen = *touch, forces, applied, acceleration
+        pressed, measured, noise = _torques(terms, *seen, errors, self._own)
         if not self._past:
             self._pressed = self._measured = pressed
             self._started = stamp
-        own = np.abs(tips.linear).max(axis=1) > 0.0
         fraction = 1.0 - math.exp(-dt / COMPARISON_TIME)
         self._pressed = self._pressed + fraction * (pressed - self._pressed)
         if 1e-9 * (stamp - self._started) < limits.latency:  # forces may belong to earlier torques
@@ -172,29 +179,27 @@ class ForceTorqueCheck:
         self._past.append((stamp, self._pressed))  # at which the forces may have been measured
         while 1e-9 * (stamp - self._past[0][0]) > limits.latency:
             self._past.popleft()
-        noise = own @ np.abs(inertia) @ np.full(rates.shape, limits.rates) / COMPARISON_TIME
         noise = noise + self._swung * self._turning(palm, dt)
         self._noise = np.maximum(noise, (1.0 - fraction) * self._noise)
-        misfits = self._misfits(own, limits.force)
+        misfits = self._misfits(limits.force)
         if misfits.any():
             return Doubt(_MISFIT, misfits)
-        frozen = self._frozen(stamp, tips, own, forces, limits.latency)
+        frozen = self._frozen(stamp, terms.tips, forces, limits.latency)
         return Doubt(_FROZEN, frozen) if frozen.any() else None
 
-    def _misfits(self, own: Fingers, tolerance: float) -> Fingers:
+    def _misfits(self, tolerance: float) -> Fingers:
         """Return the fingers whose forces do not fit the torques at the time that fits most, (k,).
 
-        `own` marks the joints of each finger, shape (k, m); the tolerance is a fraction.
+        The tolerance is a fraction.
         """
-        fewest = np.ones(len(own), dtype=bool)
+        fewest = np.ones(len(self._own), dtype=bool)
         for _, pressed in reversed(self._past):
-            error, torque = (np.sqrt(own @ x**2) for x in (self._measured - pressed, pressed))
-            shown = torque + _SPREAD * math.sqrt(pressed @ pressed)
-            misfits: Fingers = ~(error <= self._minimum + self._noise + tolerance * shown)
+            seen = self._measured, pressed, self._minimum + self._noise
+            misfits = _misfits(self._own, *seen, tolerance)
+            if not misfits.any():
+                return misfits
             if misfits.sum() < fewest.sum():
                 fewest = misfits
-            if not fewest.any():
-                break
         return fewest
 
     def _turning(self, palm: Array | None, dt: float) -> float:
@@ -208,9 +213,7 @@ class ForceTorqueCheck:
         self._acceleration = self._acceleration + fraction * change
         return float(np.linalg.norm(self._acceleration) + self._spin @ self._spin)
 
-    def _frozen(
-        self, stamp: int, tips: Fingertips, own: Fingers, forces: Array, latency: float
-    ) -> Fingers:
+    def _frozen(self, stamp: int, tips: Fingertips, forces: Array, latency: float) -> Fingers:
         """Return which fingers repeat their force bit for bit although their torque changes, (k,).
 
         It may do so for twice the latency, since a sample may be lost, and while the torque changes
@@ -219,7 +222,7 @@ class ForceTorqueCheck:
         if not self._repeats:
             first = [_Repeat(stamp, force, self._pressed, math.inf) for force in forces.tolist()]
             self._repeats = first
-        frozen = np.zeros(len(own), dtype=bool)
+        frozen, own = np.zeros(len(forces), dtype=bool), self._own > 0.0
         for i, (force, last) in enumerate(zip(forces.tolist(), self._repeats, strict=True)):
             if force != last.force:
                 changes = [abs(a - b) for a, b in zip(force, last.force, strict=True) if a != b]
@@ -233,6 +236,44 @@ class ForceTorqueCheck:
                 shown = min(fine, _FROZEN_FRACTION * torque + self._minimum[i])
                 frozen[i] = change > self._noise[i] + shown
         return frozen
+
+
+@compiled
+def _torques(
+    terms: Dynamics,
+    points: Array,
+    rotations: Array,
+    forces: Array,
+    applied: Array,
+    acceleration: Array,
+    errors: Array,
+    own: Array,
+) -> tuple[Array, Array, Array]:
+    """Return the torques on the object, (m,), N m, that joints (3) and forces, (k, 3), N, show.
+
+    And the torque in each finger, (k,), N m, of errors of the acceleration, (m,), rad/s^2; `own` is
+    1 for its joints, (k, m).
+    """
+    tips, inertia, bias = terms
+    shown = joint_torques(tips, points, in_palm(rotations, forces, 1.0))
+    return applied - inertia @ acceleration - bias, shown, own @ (np.abs(inertia) @ errors)
+
+
+@compiled
+def _misfits(
+    own: Array, measured: Array, pressed: Array, least: Array, tolerance: float
+) -> Fingers:
+    """Return in which fingers two torques, shape (m,), N m, differ by more than the least, (k,).
+
+    A fraction of the torques is tolerated. `own` is 1 for the joints of each finger, (k, m).
+    """
+    out = np.empty(len(own), dtype=np.bool_)
+    spread = _SPREAD * math.sqrt(pressed @ pressed)
+    for i in range(len(own)):
+        error = math.sqrt(own[i] @ (measured - pressed) ** 2)
+        shown = math.sqrt(own[i] @ pressed**2) + spread
+        out[i] = not error <= least[i] + tolerance * shown
+    return out
 
 
 class InputCheck:

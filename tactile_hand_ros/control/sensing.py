@@ -174,7 +174,7 @@ class UnfeltTouch:
     def feel(self, theta: Array, contacts: Contacts, forces: Array | None) -> None:
         """Record the joint angles, contacts and forces of a tick at which all are felt."""
         self._last, self._forces = (theta, contacts), forces
-        self._strained = np.zeros_like(self._strained)
+        self._strained[:] = 0.0
 
     def lose(self) -> None:
         """Forget the contacts, until all are felt again."""
@@ -293,7 +293,7 @@ class LateTouch:
         self, tips: Fingertips, rates: Array, contacts: Contacts, largest: float, error: float
     ) -> None:
         """Learn the age from a new sample of the skin; see `step`."""
-        gaps = tip_gaps(tips, contacts, self._radii)
+        gaps = tip_gaps(tips, contacts.positions, contacts.rotations, self._radii)
         memory = self._means, self._moments
         if _regress(tips.linear, rates, gaps, *memory, largest, error):
             speed, gap, both = self._moments

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tactile_hand_ros.compiled import Array
+from tactile_hand_ros.compiled import Array, compiled
 from tactile_hand_ros.control.contact import Contacts
 from tactile_hand_ros.control.laws import AuxiliaryPose, Target
 from tactile_hand_ros.control.reach import check_reach
@@ -42,8 +42,8 @@ class SmoothReference:
     @property
     def is_moving(self) -> bool:
         """Whether it has not arrived yet."""
-        way, turn = np.linalg.norm(self._error[:3]), np.linalg.norm(self._error[3:])
-        return bool(way > _NEAR or turn > _TURNED)
+        *way, x, y, z = self._error.tolist()
+        return math.hypot(*way) > _NEAR or math.hypot(x, y, z) > _TURNED
 
     def step(self, target: Target, now: AuxiliaryPose, time: float, dt: float) -> Target:
         """Return the pose to follow at this tick, `dt` s after the last one.
@@ -55,15 +55,29 @@ class SmoothReference:
             return target
         if self._pose is None:
             self._pose = Target(now.position, now.orientation)
-        turn = vector_from_rotation(self._pose.orientation @ target.orientation.T)
-        error = np.concatenate([self._pose.position - target.position, turn])
-        fading, course = math.exp(-dt / time), self._rates + error / time
-        error = fading * (error + dt * course)
-        self._rates = fading * (self._rates - dt / time * course)
-        orientation = rodrigues(*error[3:]) @ target.orientation
-        self._pose = Target(target.position + error[:3], orientation)
-        self._error = error
+        poses = *self._pose[:2], target.position, target.orientation
+        *pose, self._error, self._rates = _approached(*poses, self._rates, time, dt)
+        self._pose = Target(*pose)
         return self._pose
+
+
+@compiled
+def _approached(
+    position: Array,
+    orientation: Array,
+    end: Array,
+    turned: Array,
+    rates: Array,
+    time: float,
+    dt: float,
+) -> tuple[Array, Array, Array, Array]:
+    """Return the next pose on the way to (end, turned), its error and rates, shape (6,)."""
+    turn = vector_from_rotation(orientation @ turned.T)
+    error = np.concatenate((position - end, turn))
+    fading, course = math.exp(-dt / time), rates + error / time
+    error = fading * (error + dt * course)
+    rates = fading * (rates - dt / time * course)
+    return end + error[:3], rodrigues(error[3], error[4], error[5]) @ turned, error, rates
 
 
 MAX_WAITING = 1000

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_hand_ros.compiled import Array
+from tactile_hand_ros.compiled import Array, compiled
 from tactile_hand_ros.control.contact import Contacts
 from tactile_hand_ros.errors import ConfigurationError, DivergedError, ObjectModelError
 from tactile_hand_ros.hand.hand import Hand, RawDynamics, mirrored
@@ -322,10 +322,7 @@ class Plant:
         stopped = np.zeros(self.hand.joints, dtype=np.bool_)
         while True:
             after = step(h, now, self._world, self.friction, hand, torque, wrench)
-            passed = ((after.theta > upper) & (after.theta > now.theta)) | (
-                (after.theta < lower) & (after.theta < now.theta)
-            )
-            passed &= ~stopped
+            passed = _passed(now.theta, after.theta, lower, upper, stopped)
             if not passed.any():
                 return after
             stopped |= passed
@@ -384,6 +381,15 @@ class Plant:
         out = self._world.mass * np.eye(6)
         out[3:, 3:] = self._now.rotation @ self._world.inertia @ self._now.rotation.T
         return out
+
+
+@compiled
+def _passed(
+    before: Array, after: Array, lower: Array, upper: Array, stopped: NDArray[np.bool_]
+) -> NDArray[np.bool_]:
+    """Return which joints, shape (m,), have moved further beyond a limit and are not stopped."""
+    above, below = (after > upper) & (after > before), (after < lower) & (after < before)
+    return (above | below) & ~stopped
 
 
 def _at_rest(

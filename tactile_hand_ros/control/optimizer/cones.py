@@ -56,12 +56,25 @@ class Cones:
 
         Pyramids instead of cones avoid a jump of f* at the start of the optimization.
         """
-        return bool((reaches(forces, self.usable_friction) + self.goal <= 0.0).all())
+        return _are_inside(forces, self.usable_friction, self.goal)
 
     def margin(self, forces: Array) -> float:
         """Return the minimum mu f_n - |f_t| of f*, shape (k, 3), under the load."""
-        x, n, z = (forces + self.load).T
-        return float((self.usable_friction * n - np.sqrt(x * x + z * z)).min())
+        return _least_margin(forces + self.load, self.usable_friction)
+
+
+@compiled
+def _least_margin(forces: Array, friction: Array) -> float:
+    least = np.inf
+    for i in range(len(forces)):
+        x, n, z = forces[i]
+        least = min(least, friction[i] * n - math.sqrt(x * x + z * z))
+    return least
+
+
+@compiled
+def _are_inside(forces: Array, friction: Array, beyond: Array) -> bool:
+    return bool((reaches(forces, friction) + beyond <= 0.0).all())
 
 
 @compiled
@@ -81,9 +94,20 @@ def reaches(forces: Array, usable_friction: Array) -> Array:
 
 
 @compiled
-def grasp_frames(points: Array, rotations: Array) -> Array:
+def with_reserve(beyond: Array, usable_friction: Array, reserve: Array) -> Array:
+    """Return `reaches`, shape (k, SIDES), with balls of loads around them of radii (k,), N."""
+    out = beyond.copy()
+    for i in range(len(out)):
+        mu = usable_friction[i]
+        out[i] += INSIDE * reserve[i] * math.sqrt(1.0 + mu * mu)
+    return out
+
+
+@compiled
+def grasp_frames(points: Array, rotations: Array) -> tuple[Array, Array]:
     """Return contact frames whose tangents follow the grasp instead of the palm, (k, 3, 3).
 
+    The second array, of the same shape, turns components of the given frames into those of the new.
     t_z is the normal of the best plane through the contacts, projected on the face. For a finger
     that pushes along that normal it is the direction from the centroid. Pyramids with an even
     number of sides do not depend on the sign of the normal.
@@ -97,10 +121,11 @@ def grasp_frames(points: Array, rotations: Array) -> Array:
         area += np.array(cross(arms[i - 1], arms[i]))
     if plane @ area < 0.0:  # the sign of an eigenvector may change from tick to tick
         plane = -plane
-    out = np.empty_like(rotations)
+    out, turns = np.empty_like(rotations), np.empty_like(rotations)
     for i in range(len(arms)):
         out[i] = face_frame(rotations[i, :, 1], plane, arms[i])
-    return out
+        turns[i] = out[i].T @ rotations[i]
+    return out, turns
 
 
 @compiled
@@ -139,6 +164,13 @@ def balanced(forces: Array, balance: Array) -> tuple[Array, bool]:
         return forces, False
     substitute(u, excess.reshape(-1, 1))
     return (flat - excess @ rows).reshape(forces.shape), True
+
+
+@compiled
+def imbalance(forces: Array, balance: Array) -> float:
+    """Return by how much f*, shape (k, 3), violates G~ f = 0 and sum f_n = 1; see `balanced`."""
+    missing, total = forces.copy().reshape(-1) @ balance, forces[:, 1].sum()
+    return float(max(np.abs(missing).max(), abs(total - 1.0)))
 
 
 @compiled

@@ -11,7 +11,13 @@ import numpy as np
 
 from tactile_hand_ros.compiled import Array, compiled
 from tactile_hand_ros.config.model import Config, param
-from tactile_hand_ros.control.contact import MIN_CONTACTS, Contacts, all_finite, in_palm
+from tactile_hand_ros.control.contact import (
+    MIN_CONTACTS,
+    Contacts,
+    all_finite,
+    in_contacts,
+    in_palm,
+)
 from tactile_hand_ros.control.grasp import (
     MIN_COLLINEARITY_MARGIN,
     centered,
@@ -20,7 +26,14 @@ from tactile_hand_ros.control.grasp import (
 )
 from tactile_hand_ros.control.loads import CarriedLoad
 from tactile_hand_ros.control.optimizer.cone_optimizer import ConeOptimizer
-from tactile_hand_ros.control.optimizer.cones import INSIDE, Cones, followed, grasp_frames, reaches
+from tactile_hand_ros.control.optimizer.cones import (
+    Cones,
+    followed,
+    grasp_frames,
+    imbalance,
+    reaches,
+    with_reserve,
+)
 from tactile_hand_ros.control.optimizer.quadratic_program import Problem, QuadraticProgram
 from tactile_hand_ros.errors import ConfigurationError
 
@@ -171,19 +184,14 @@ class ForceOptimizer:
         """
         if contacts.enough_touching and not contacts.all_touching:
             return self._without_the_others(stamp, contacts, carried, grasp_force)
-        if not self.config.cones or carried is None or self._k == 2:
+        if not (self.config.cones and self._k > 2 and contacts.all_touching) or carried is None:
             return self.solve(contacts)
         # The pyramids turn with the grasp, so that f* does not depend on its pose in the palm.
-        frames = contacts.rotations
-        if contacts.all_touching:
-            frames = grasp_frames(contacts.positions, frames)
-        turns = np.swapaxes(frames, 1, 2) @ contacts.rotations
+        frames, turns = grasp_frames(contacts.positions, contacts.rotations)
         turned = carried._replace(load=in_palm(turns, carried.load, 1.0))
         grasp = Contacts(contacts.positions, frames)
         optimal = self.solve(grasp, self._cones(stamp, turned, grasp_force))
-        if not optimal.ok:
-            return optimal
-        return optimal._replace(forces=in_palm(np.swapaxes(turns, 1, 2), optimal.forces, 1.0))
+        return optimal._replace(forces=in_contacts(turns, optimal.forces))
 
     def _cones(self, stamp: int, carried: CarriedLoad, grasp_force: float) -> Cones | None:
         """Return the cones for a load per newton of grasp force, or None without a load.
@@ -201,8 +209,7 @@ class ForceOptimizer:
             keep = math.exp(-elapsed / self.config.load_memory)
             worst = np.maximum(worst, worst + keep * (self._past[1] - worst))
         self._past = stamp, worst
-        more = INSIDE * reserve * np.sqrt(1.0 + friction * friction)
-        wanted = (worst + more[:, None]) / (_RELAXED * grasp_force)
+        wanted = with_reserve(worst, friction, reserve) / (_RELAXED * grasp_force)
         return Cones(friction, load / grasp_force, elapsed, wanted)
 
     def _without_the_others(
@@ -262,7 +269,7 @@ class ForceOptimizer:
         """Return f* of two contacts, which can only press along the line between them."""
         along = points[1] - points[0]
         forces = np.stack([along, -along])
-        forces = np.einsum("kji,kj->ki", rotations, forces / np.linalg.norm(along))
+        forces = in_contacts(rotations, forces / np.linalg.norm(along))
         if not (forces[:, 1] > 0.0).all():
             return self._without_answer(Status.UNBALANCED, _UNBALANCED)
         return OptimalForces(Status.SOLVED, "", forces / forces[:, 1].sum(), 0.0)
@@ -283,8 +290,7 @@ class ForceOptimizer:
             touch = cones.load, cones.usable_friction
             forces = followed(before, optimum, balance, *touch, fraction)
         self._shape = forces
-        unbalanced = np.abs(forces.ravel() @ balance).max()
-        residual = max(residual, unbalanced, abs(forces[:, 1].sum() - 1.0))
+        residual = max(residual, imbalance(forces, balance))
         margin = cones.margin(forces)
         return paper._replace(forces=forces, residual=residual, cone_margin=margin, shaped=shaped)
 

@@ -100,8 +100,7 @@ class QuadraticProgram:
         OSQP may find the optimum although it reports its limit of iterations, or infeasibility for
         a large x.
         """
-        x, multipliers, systems = solve_problem(problem, self._held)
-        exact = Solution(x, residual(problem, x, multipliers) if systems else np.inf, systems)
+        exact = Solution(*_solved(problem, self._held))
         if exact.residual < _GOOD_RESIDUAL and self._exact:
             return exact
         return self._by_osqp(problem, exact)
@@ -142,6 +141,13 @@ class QuadraticProgram:
             check_termination=5,
             adaptive_rho_interval=25,  # by iterations, never by time: equal inputs, equal answers
         )
+
+
+@compiled
+def _solved(problem: Problem, held: Flags) -> tuple[Array, float, int]:
+    """Return the optimum of `solve_problem`, its residual and the number of linear systems."""
+    x, multipliers, systems = solve_problem(problem, held)
+    return x, residual(problem, x, multipliers) if systems else np.inf, systems
 
 
 @compiled

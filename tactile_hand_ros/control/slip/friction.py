@@ -106,7 +106,8 @@ class FrictionEstimator:
     @property
     def estimate(self) -> Array:
         """The friction mu of each contact, shape (k,)."""
-        return np.asarray(np.clip(np.exp(self._memory["mean"]), _SMALLEST_MU, _LARGEST_MU))
+        mu = np.exp(self._memory["mean"])
+        return np.asarray(np.minimum(np.maximum(mu, _SMALLEST_MU), _LARGEST_MU))
 
     def step(
         self,

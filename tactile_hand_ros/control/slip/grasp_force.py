@@ -93,22 +93,31 @@ class RequiredGraspForce:
             dt: Time since the last tick, s.
             grasped: Whether the grasp is complete; otherwise only the load is updated.
         """
-        memory, size = self._memory, np.sqrt((parts.load * parts.load).sum(axis=1))
-        missed, misses = np.isnan(memory["load"][:, 0]), np.isnan(normals[:, 0])
-        memory["held_for"][missed & ~misses] = 0.0
-        if (missed != misses).any():
-            memory["load"] = np.nan  # other fingers touch: another split
-        faded = math.exp(-dt / _MEMORY_TIME) * memory["largest"]
-        memory["largest"] = np.maximum(faded, size)
+        memory = self._memory
+        _remember(memory, normals, parts.load, dt)
         self.reserve = self._reserve()
-        memory["held_for"] += dt
-        radii = np.minimum(1.0, memory["held_for"] / _RESERVE_TIME) * self.reserve
         _follow(memory, normals, parts.load, parts.internal, dt, grasped)
-        return _needed(memory, normals, friction, usable, radii, dt)
+        return _needed(memory, normals, friction, usable, self.reserve, dt)
 
     def _reserve(self) -> Array:
         c, largest = self.config, self._memory["largest"]
         return np.maximum(c.floor * self._weight / len(largest), c.fraction * largest)
+
+
+@compiled
+def _remember(memory: Rows, normals: Array, loads: Array, dt: float) -> None:
+    """Update the largest loads and the time of each contact; forget loads if others touch."""
+    changed, keep = False, math.exp(-dt / _MEMORY_TIME)
+    for i in range(len(memory)):
+        m, misses = memory[i], math.isnan(normals[i, 0])
+        missed = math.isnan(m["load"][0])
+        changed |= missed != misses
+        if missed and not misses:
+            m["held_for"] = 0.0
+        m["held_for"] += dt
+        m["largest"] = np.maximum(keep * m["largest"], math.sqrt(dot(loads[i], loads[i])))
+    if changed:
+        memory["load"][:] = np.nan  # another split
 
 
 @compiled
@@ -134,7 +143,7 @@ def _follow(
 
 @compiled
 def _needed(
-    memory: Rows, normals: Array, friction: Array, usable: Array, radii: Array, dt: float
+    memory: Rows, normals: Array, friction: Array, usable: Array, reserve: Array, dt: float
 ) -> tuple[float, float]:
     """Return the largest need of any contact, without and with reserve, N."""
     needed, ready, total = 0.0, 0.0, 0.0
@@ -149,7 +158,7 @@ def _needed(
             continue
         shape, load = m["internal"] / total, m["load"] + ahead * m["trend"]
         alone = required_grasp_force(load, shape, normals[i], usable[i])
-        lost = shift(radii[i], friction[i])
+        lost = shift(min(1.0, m["held_for"] / _RESERVE_TIME) * reserve[i], friction[i])
         more = required_grasp_force(load, shape, normals[i], friction[i], lost)
         needed = max(needed, alone)
         ready = max(ready, alone, more if math.isfinite(more) else 0.0)

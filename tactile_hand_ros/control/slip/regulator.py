@@ -13,7 +13,7 @@ from pydantic import model_validator
 from tactile_hand_ros.compiled import Array, Rows
 from tactile_hand_ros.config.hand_config import load_hand_config
 from tactile_hand_ros.config.model import Config, param
-from tactile_hand_ros.control.contact import Contacts, in_palm
+from tactile_hand_ros.control.contact import Contacts, in_contacts, in_palm
 from tactile_hand_ros.control.loads import CarriedLoad, ReserveConfig, Split, split_part
 from tactile_hand_ros.control.slip.detector import ContactState, SlipDetector, SlipDetectorConfig
 from tactile_hand_ros.control.slip.friction import FrictionConfig, FrictionEstimator
@@ -94,6 +94,7 @@ class SlipRegulator:
         self._required = RequiredGraspForce(config.reserve, fingers, weight)
         self._response = SlipResponse(config.reflex, config.grasp_force)
         self._rejected, self._held = np.zeros(fingers, dtype=bool), False
+        self._trusts_some = self._trusts_all = True
         self.reset()
 
     def configure(self, config: SlipRegulatorConfig) -> None:
@@ -134,11 +135,14 @@ class SlipRegulator:
 
         See `Controller.touch_rejected`. Without any touch, the load is unknown.
         """
+        if np.array_equal(rejected, self._rejected):
+            return
         if (rejected & ~self._rejected).any():
             self._forget_slips()
-        if rejected.all() and not self._rejected.all():
+        if rejected.all():
             self._required.reset()
         self._rejected = rejected
+        self._trusts_some, self._trusts_all = not rejected.all(), not rejected.any()
 
     @property
     def joints_held(self) -> bool:
@@ -224,7 +228,7 @@ class SlipRegulator:
         if not contacts.touching.any():
             self._estimator.reset()  # the next object may be another one
             self._raised = 0.0
-        if not self._rejected.all():
+        if self._trusts_some and not self._trusts_all:
             contacts = contacts.without(self._rejected)
         touching, normals = contacts.touching, contacts.normals
         unknown = np.isnan(measured[:, ::2])
@@ -236,7 +240,7 @@ class SlipRegulator:
         fresh, self._last = (measured != self._last).any(axis=1), measured.copy()
         forces = in_palm(contacts.rotations, measured, 1.0)
         forces[~touching] = np.nan
-        learns = not (self._rejected.all() or self._held)
+        learns = self._trusts_some and not self._held
         if learns and (not self._kept or stamp - self._kept[-1][0] >= _AGE):
             # To restore it when touch is rejected.
             self._kept = [*self._kept[-1:], (stamp, self._estimator.memory)]
@@ -265,7 +269,7 @@ class SlipRegulator:
         """
         touching, c = contacts.touching, self.config
         fresh, self._last[:, 1] = normal != self._last[:, 1], normal
-        is_known = touching & self._steady & (not (self._rejected.all() or self._held))
+        is_known = touching & self._steady & (self._trusts_some and not self._held)
         forces, axes = np.zeros((2, self._fingers, 3))
         axes[:, 1] = 1.0
         forces[:, 1] = np.where(is_known, normal, np.nan)
@@ -290,12 +294,12 @@ class SlipRegulator:
         else:
             needs = required.step(parts, at, friction, usable, dt, grasped=grasped)
             self.needed, self.ready = needs
-        load = np.einsum("kji,kj->ki", contacts.rotations, required.load)
+        load = in_contacts(contacts.rotations, required.load)
         self.carried = CarriedLoad(load, usable, required.reserve)
 
     def _is_grasped(self, contacts: Contacts) -> bool:
         """Return whether contacts balance by themselves; a rejected finger presses, too."""
-        return contacts.enough_touching and not self._rejected.any()
+        return contacts.enough_touching and self._trusts_all
 
     def _split(self, contacts: Contacts, forces: Array) -> tuple[Split | None, Array]:
         """Return the split of a grasp's forces and its normals, shape (k, 3), NaN: not grasped.
@@ -305,7 +309,7 @@ class SlipRegulator:
         force, which is not balanced any more.
         """
         touching, grasped = contacts.touching, self._is_grasped(contacts)
-        if self._rejected.all() or not touching.any():
+        if not self._trusts_some or not touching.any():
             self._grasp = None
         elif grasped:
             self._grasp = contacts

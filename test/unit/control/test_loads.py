@@ -125,7 +125,7 @@ def by_hand(beyond, carried, grasp_force):
     """Return f* for forces beyond the pyramids, and the reserve, at 3/4 of a grasp force."""
     radii = carried.reserve * np.sqrt(1.0 + carried.friction**2)
     wanted = (beyond + INSIDE * radii[:, None]) / (0.75 * grasp_force)
-    frames = grasp_frames(GRASP.positions, GRASP.rotations)
+    frames, _ = grasp_frames(GRASP.positions, GRASP.rotations)
     load = turned(frames, carried.load) / grasp_force
     found = ForceOptimizer(ForceOptimizerConfig(shape_time=0.0), 3).solve(
         Contacts(GRASP.positions, frames), Cones(carried.friction, load, 0.0, wanted)
@@ -139,7 +139,7 @@ def turned(frames, forces, given=GRASP.rotations):
 
 
 def beyond(carried):
-    frames = grasp_frames(GRASP.positions, GRASP.rotations)
+    frames, _ = grasp_frames(GRASP.positions, GRASP.rotations)
     return reaches(turned(frames, carried.load), carried.friction)
 
 
