@@ -88,13 +88,13 @@ class Tolerances(NamedTuple):
         touch: Distance of a contact from its fingertip, m; 0 for a sixth of its radius.
         force: Difference between measured forces and joint torques, a fraction.
         latency: Age of measured forces, s.
-        rates: Error of joint rates, shape (m,), rad/s; 0 for exact rates.
+        rates: Error of joint rates, shape (m,) or (1,), rad/s; 0 for exact rates.
     """
 
     touch: float
     force: float
     latency: float
-    rates: Array | float = 0.0
+    rates: Array = np.zeros(1)
 
 
 class _Repeat(NamedTuple):
@@ -165,9 +165,8 @@ class ForceTorqueCheck:
             return None
         dt = 1e-9 * (stamp - before[0])
         acceleration, touch = (rates - before[1]) / dt, (contacts.positions, contacts.rotations)
-        errors = np.full(rates.shape, limits.rates) / COMPARISON_TIME
-        seen = *touch, forces, applied, acceleration
-        pressed, measured, noise = _torques(terms, *seen, errors, self._own)
+        seen = *touch, forces, applied, acceleration, limits.rates / COMPARISON_TIME
+        pressed, measured, noise = _torques(terms, *seen, self._own)
         if not self._past:
             self._pressed = self._measured = pressed
             self._started = stamp
@@ -251,12 +250,16 @@ def _torques(
 ) -> tuple[Array, Array, Array]:
     """Return the torques on the object, (m,), N m, that joints (3) and forces, (k, 3), N, show.
 
-    And the torque in each finger, (k,), N m, of errors of the acceleration, (m,), rad/s^2; `own` is
-    1 for its joints, (k, m).
+    And the torque in each finger, (k,), N m, of errors of the acceleration, (m,) or (1,), rad/s^2;
+    `own` is 1 for its joints, (k, m).
     """
     tips, inertia, bias = terms
     shown = joint_torques(tips, points, in_palm(rotations, forces, 1.0))
-    return applied - inertia @ acceleration - bias, shown, own @ (np.abs(inertia) @ errors)
+    return (
+        applied - inertia @ acceleration - bias,
+        shown,
+        own @ (np.abs(inertia) * errors).sum(axis=1),
+    )
 
 
 @compiled

@@ -47,25 +47,23 @@ class ConeOptimizer:
         rows[k:, n] = -1.0
         equal, right = np.zeros((7, n + 1)), np.zeros(7)
         equal[6, 1:n:3] = right[6] = 1.0
-        self._fixed = Problem(weights, price, equal, right, rows, bounds)
-        example = _with_numbers(self._fixed, np.ones((n, 6)), np.ones(k), np.zeros((k, SIDES)))
-        self._program = QuadraticProgram(example, exact)
+        self._problem = Problem(weights, price, equal, right, rows, bounds)
+        _set_numbers(self._problem, np.ones((n, 6)), np.ones(k), np.zeros((k, SIDES)))
+        self._program = QuadraticProgram(self._problem, exact)
 
     def solve(self, balance: Array, cones: Cones) -> tuple[Array, float]:
         """Return f*, shape (k, 3), for G~^T, shape (3k, 6), and the residual of its optimality."""
-        problem = _with_numbers(self._fixed, balance, cones.usable_friction, cones.goal)
-        found = self._program.solve(problem)
+        _set_numbers(self._problem, balance, cones.usable_friction, cones.goal)
+        found = self._program.solve(self._problem)
         return found.x[:-1].reshape(-1, 3).copy(), found.residual
 
 
 @compiled
-def _with_numbers(fixed: Problem, balance: Array, friction: Array, beyond: Array) -> Problem:
-    """Return the problem with G~^T, (3k, 6), usable mu, (k,), and `Cones.goal`, (k, SIDES)."""
-    equal, rows, bounds = fixed.equal.copy(), fixed.rows.copy(), fixed.bounds.copy()
+def _set_numbers(problem: Problem, balance: Array, friction: Array, beyond: Array) -> None:
+    """Write G~^T, (3k, 6), usable mu, (k,), and `Cones.goal`, (k, SIDES), into the problem."""
     n, k = balance.shape[0], len(friction)
-    equal[:6, :n] = balance.T
-    bounds[k + 1 :] = -beyond.ravel()
+    problem.equal[:6, :n] = balance.T
+    problem.bounds[k + 1 :] = -beyond.ravel()
     for i in range(k):
         first = k + 1 + SIDES * i
-        rows[first : first + SIDES, 3 * i + 1] = -INSIDE * friction[i]
-    return Problem(fixed.weights, fixed.price, equal, fixed.right, rows, bounds)
+        problem.rows[first : first + SIDES, 3 * i + 1] = -INSIDE * friction[i]

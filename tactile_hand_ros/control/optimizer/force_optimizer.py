@@ -246,9 +246,8 @@ class ForceOptimizer:
                 "the contacts lie on one line, no moment about it can balance (A7)",
             )
         balance = scaled_balance(points, rotations)
-        equal = self._fixed.equal.copy()
-        equal[:6] = balance.T
-        found = self._program.solve(self._fixed._replace(equal=equal))
+        self._problem.equal[:6] = balance.T
+        found = self._program.solve(self._problem)
         if not found.residual < _MAX_RESIDUAL:
             self._shape = None
             if found.is_infeasible:
@@ -299,10 +298,10 @@ class ForceOptimizer:
         equal, right, rows = np.zeros((7, 3 * k)), np.zeros(7), np.zeros((k, 3 * k))
         equal[6, 1::3] = right[6] = 1.0
         rows[:, 1::3], bounds = -np.eye(k), np.full(k, -minimum)
-        self._fixed = Problem(self._weights, np.zeros(3 * k), equal, right, rows, bounds)
-        example = self._fixed._replace(equal=np.vstack([np.ones((6, 3 * k)), equal[6:]]))
+        equal[:6] = 1.0  # G~, which each tick replaces
+        self._problem = Problem(self._weights, np.zeros(3 * k), equal, right, rows, bounds)
         is_exact = self.config.solver == "exact"
-        self._program = QuadraticProgram(example, is_exact)
+        self._program = QuadraticProgram(self._problem, is_exact)
         self._shaper = ConeOptimizer(self._weights, minimum, is_exact)
         self._shape = None
 

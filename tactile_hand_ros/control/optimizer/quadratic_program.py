@@ -91,6 +91,7 @@ class QuadraticProgram:
             exact: Whether to use OSQP only if the exact method fails.
         """
         self._example, self._exact = example, exact
+        self._matrix = sparse.csc_matrix(np.vstack([example.equal, example.rows]) != 0.0)
         self._held = np.zeros(len(example.rows), dtype=np.bool_)
         self._osqp: Any = None
 
@@ -122,8 +123,8 @@ class QuadraticProgram:
         return Solution(exact.x, exact.residual, *how)
 
     def _set_up(self) -> None:
-        weights, price, equal, right, rows, bounds = self._example
-        matrix = sparse.csc_matrix((np.vstack([equal, rows]) != 0.0).astype(float))
+        weights, price, _, right, rows, bounds = self._example
+        matrix = self._matrix.astype(float)
         self._places = matrix.indices, np.repeat(np.arange(len(price)), np.diff(matrix.indptr))
         self._osqp = osqp.OSQP(algebra="builtin")
         self._osqp.setup(

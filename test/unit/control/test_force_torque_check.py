@@ -134,7 +134,7 @@ def test_what_encoders_make_up_is_no_error():
         true = np.linspace(-0.3, 0.3, 9) * 0.002 * tick
         seen = joints.step(true, true, true)
         rate = made.step(tick * TICK, *seen[:2], encoder.resolution)
-        for i, error in enumerate((0.0, made.error)):
+        for i, error in enumerate((np.zeros(9), made.error)):
             pressing = noisy(tick), torque(FORCES), Tolerances(0.0, 0.02, 0.0, error)
             doubts[i] += bool(watches[i].step(tick * TICK, rate, TERMS, CONTACTS, *pressing))
     assert doubts[0] > 0 and doubts[1] == 0
