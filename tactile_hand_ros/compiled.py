@@ -135,6 +135,12 @@ def _sources(module: str) -> frozenset[Path]:
 
 
 @functools.cache
+def _cache_of(module: str) -> str:
+    """Return the directory for compiled functions of a module; it depends on dozens of files."""
+    return str(_kept_in("numba", _sources(module)))
+
+
+@functools.cache
 def _compiler() -> Callable[[Any], Any]:
     """Return the compile function; loading Numba takes half a second."""
     import numba
@@ -162,7 +168,7 @@ def _compiler() -> Callable[[Any], Any]:
 
     def compile_one(function: Any) -> Any:
         made, chosen = jit(function), numba.config.CACHE_DIR
-        numba.config.CACHE_DIR = str(_kept_in("numba", _sources(function.__module__)))
+        numba.config.CACHE_DIR = _cache_of(function.__module__)
         with contextlib.suppress(RuntimeError):  # no writable directory for the result
             made._cache = Cache(function)
         numba.config.CACHE_DIR = chosen
