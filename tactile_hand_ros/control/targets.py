@@ -42,8 +42,8 @@ class SmoothReference:
     @property
     def is_moving(self) -> bool:
         """Whether it has not arrived yet."""
-        *way, x, y, z = self._error.tolist()
-        return math.hypot(*way) > _NEAR or math.hypot(x, y, z) > _TURNED
+        error = self._error.tolist()
+        return math.hypot(*error[:3]) > _NEAR or math.hypot(*error[3:]) > _TURNED
 
     def step(self, target: Target, now: AuxiliaryPose, time: float, dt: float) -> Target:
         """Return the pose to follow at this tick, `dt` s after the last one.
