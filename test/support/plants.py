@@ -7,8 +7,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from support.equations import hand_jacobian
+from support.equations import grasp_map, hand_jacobian
 from support.hands import kinetic_energy, potential_energy
+from tactile_hand_ros.control.contact import in_palm
+from tactile_hand_ros.control.optimizer.force_optimizer import ForceOptimizer, ForceOptimizerConfig
 from tactile_hand_ros.simulation.mujoco_plant import make_plant
 from tactile_hand_ros.simulation.plant import Plant, PlantState
 from tactile_hand_ros.simulation.plant_config import PlantConfig
@@ -29,6 +31,20 @@ def jacobian(plant: Plant, state: PlantState) -> Array:
     points = np.where(np.isfinite(state.contacts.positions), state.contacts.positions, 0.0)
     points = np.where(state.contacts.touching[:, None], points, tips.positions)
     return hand_jacobian(*tips, points)
+
+
+def rates_of_twists(plant: Plant) -> Array:
+    """Return the joint rates per twist of the object about the contacts' centroid, (3k, 6)."""
+    contacts = plant.state.contacts
+    twists = grasp_map(contacts.positions, contacts.centroid).T
+    return np.linalg.solve(jacobian(plant, plant.state), twists)
+
+
+def pressing(plant: Plant) -> Array:
+    """Return the internal forces of a k_f of 1 N in palm axes, shape (k, 3), N."""
+    contacts = plant.state.contacts
+    optimizer = ForceOptimizer(ForceOptimizerConfig(), plant.hand.fingers)
+    return in_palm(contacts.rotations, optimizer.solve(contacts).forces, 1.0)
 
 
 def torque_for(plant: Plant, forces: Array, damping: float = 0.0) -> Array:

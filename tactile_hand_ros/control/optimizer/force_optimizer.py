@@ -185,6 +185,7 @@ class ForceOptimizer:
         if contacts.enough_touching and not contacts.all_touching:
             return self._without_the_others(stamp, contacts, carried, grasp_force)
         if not (self.config.cones and self._k > 2 and contacts.all_touching) or carried is None:
+            self._past = None
             return self.solve(contacts)
         # The pyramids turn with the grasp, so that f* does not depend on its pose in the palm.
         frames, turns = grasp_frames(contacts.positions, contacts.rotations)

@@ -7,13 +7,12 @@ from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 from support.hands import prism_grasp
+from support.plants import pressing, rates_of_twists
 
 from studies.faults.situations import SITUATIONS, scenario
 from studies.invariance import resized
 from studies.stalls import GuardedLoop, Watch
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
-from tactile_hand_ros.control.contact import hand_jacobian, in_palm
-from tactile_hand_ros.control.grasp import grasp_map
 from tactile_hand_ros.control.holds import (
     GuardHold,
     GuardHoldConfig,
@@ -24,7 +23,6 @@ from tactile_hand_ros.control.holds import (
     stiffest,
     tip_forces,
 )
-from tactile_hand_ros.control.optimizer.force_optimizer import ForceOptimizer, ForceOptimizerConfig
 from tactile_hand_ros.hand.hand import Hand
 from tactile_hand_ros.scenario.scenario import load_scenario
 from tactile_hand_ros.simulation.plant import Plant
@@ -246,10 +244,7 @@ def test_gains_that_fit_a_hand_leave_each_motion_its_damping(tick, name):
     assert_allclose(speed, 1.0 / tick)
     # A pose that is late, and an object of 1.5 times a load of 2 N, cost 0.25 rad.
     late = 0.01 + max(0.02, 3.0 * tick)
-    contacts, axes = grasp[2], np.tile(np.eye(3), (3, 1, 1))
-    jacobian = hand_jacobian(plant.hand.fingertips(grasp[1]), contacts.positions, axes)
-    arms = contacts.positions - contacts.centroid
-    rates = np.linalg.solve(jacobian.reshape(9, 9), grasp_map(arms, axes).T)
+    rates, arms = rates_of_twists(plant), grasp[2].positions - grasp[2].centroid
     of_motion = np.linalg.inv(rates.T @ damping @ rates)
     body = 1.5 * 2.0 / 9.81 * np.diag(np.repeat([1.0, (arms**2).sum() / 3.0], 3))
     inverse = 4.0 * (late * of_motion + of_motion @ body @ of_motion)
@@ -291,13 +286,6 @@ def test_a_heavy_object_and_a_delay_of_two_milliseconds_need_no_more_force(rate,
     Watch(loop).run(3.5, delay=delay)
     assert loop.loop.regulator.grasp_force < 12.0
     assert loop.loop.state.slid.max() < 1e-4
-
-
-def pressing(plant):
-    """Return the internal forces of a k_f of 1 N in palm axes, shape (k, 3), N."""
-    contacts = plant.state.contacts
-    optimizer = ForceOptimizer(ForceOptimizerConfig(), plant.hand.fingers)
-    return in_palm(contacts.rotations, optimizer.solve(contacts).forces, 1.0)
 
 
 @pytest.mark.parametrize("joints", [[3, 3, 3], [4, 4, 4, 4], [3, 4, 3, 5, 4]])

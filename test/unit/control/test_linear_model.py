@@ -3,11 +3,9 @@
 
 import numpy as np
 import pytest
+from support.plants import pressing, rates_of_twists
 
-from tactile_hand_ros.control.contact import hand_jacobian, in_palm
-from tactile_hand_ros.control.grasp import grasp_map
 from tactile_hand_ros.control.holds import fitted_gains
-from tactile_hand_ros.control.optimizer.force_optimizer import ForceOptimizer, ForceOptimizerConfig
 from tactile_hand_ros.rotations import cross
 from tactile_hand_ros.scenario.scenario import load_scenario
 from tactile_hand_ros.simulation.plant import Plant
@@ -21,15 +19,10 @@ def growth(changes, mass, time, load=1.0):
     """Return the largest real part of the poles, 1/s, if a fraction of the weight is the load."""
     plant = Plant(load_scenario("human_hold", changes | {"plant.object.mass": mass}).plant)
     hand, theta, contacts = plant.hand, plant.state.theta, plant.state.contacts
-    optimal = ForceOptimizer(ForceOptimizerConfig(), hand.fingers).solve(contacts).forces
-    how = in_palm(contacts.rotations, optimal, 1.0), 1e-3, 0.015, time, 5e-5
-    gains = fitted_gains(hand, theta, contacts, *how)
+    gains = fitted_gains(hand, theta, contacts, pressing(plant), 1e-3, 0.015, time, 5e-5)
     weight = mass * np.array(plant.config.gravity) * load
     damping, stiffness = gains.at(8.0, float(np.linalg.norm(weight)))
-    # Joint rates per twist about the centroid, and with them inertia, damping and stiffness there.
-    arms, axes = contacts.positions - contacts.centroid, np.tile(np.eye(3), (3, 1, 1))
-    levers = hand_jacobian(hand.fingertips(theta), contacts.positions, axes).reshape(9, 9)
-    rates = np.linalg.solve(levers, grasp_map(arms, axes).T)
+    rates = rates_of_twists(plant)  # and with them inertia, damping and stiffness there
     inertia = rates.T @ hand.dynamics(theta, np.zeros(9)).inertia @ rates
     damping, stiffness = rates.T @ damping @ rates, stiffness * np.repeat([1.0, 2.0], 3)
     # The object's inertia about the centroid, and the moment of its weight as it turns.

@@ -174,8 +174,12 @@ def test_without_a_load_the_optimizer_leaves_out_the_cones(missing):
 
 @pytest.mark.parametrize(
     "happens",
-    [lambda o: o.reset(), lambda o: o.step(4 * MS, GRASP, NOTHING, 5.0)],
-    ids=["reset", "no load"],
+    [
+        lambda o: o.reset(),
+        lambda o: o.step(4 * MS, GRASP, NOTHING, 5.0),
+        lambda o: o.step(4 * MS, GRASP.without(np.arange(3) == 1), HEAVY, 5.0),
+    ],
+    ids=["reset", "no load", "a lost contact"],
 )
 def test_after_an_interruption_the_loads_before_it_are_forgotten(happens):
     optimizer = ForceOptimizer(ForceOptimizerConfig(cones=True), 3)
