@@ -83,7 +83,7 @@ def coverage_map(tree: Path, folder: str, scratch: Path, jobs: int) -> CoverageM
     def run(suite: Path) -> tuple[CoverageData, dict[str, float]]:
         results, lines = (scratch / f"{name}-{suite.stem}.{end}" for end in ("xml", "lines"))
         watched = ["-m", "coverage", "run", f"--rcfile={settings}", f"--data-file={lines}"]
-        # A timeout in a Hypothesis test may end the whole pytest run.
+        # A test of Hypothesis that runs into its time limit can stop pytest altogether.
         options = [*_QUIET, "--timeout=600", f"--junit-xml={results}"]
         command = [sys.executable, *watched, "-m", "pytest", *options, str(suite)]
         variables = _environment(tree, folder)

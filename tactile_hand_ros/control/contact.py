@@ -57,13 +57,11 @@ class Contacts:
     @cached_property
     def enough_touching(self) -> bool:
         """Whether enough fingers touch to hold an object without the others (A7)."""
-        return bool(sum(self.touching.tolist()) >= min(MIN_CONTACTS, len(self.positions)))
+        return bool(sum(self.touching) >= min(MIN_CONTACTS, len(self.positions)))
 
     def part(self, chosen: NDArray[np.bool_]) -> Contacts:
         """Return the contacts of the fingers in a mask of shape (k,)."""
-        if all(chosen.tolist()):
-            return self
-        return Contacts(self.positions[chosen], self.rotations[chosen])
+        return self if all(chosen) else Contacts(self.positions[chosen], self.rotations[chosen])
 
     def replaced(self, chosen: NDArray[np.bool_], part: Contacts) -> Contacts:
         """Return the contacts with others for the fingers in a mask of shape (k,)."""

@@ -776,7 +776,7 @@ class Controller:
         if not math.isfinite(grasp_force) or grasp_force < 0.0:
             return f"grasp force k_f = {grasp_force} N is unusable; holding the last grasp force"
         forces = now.forces if law.observer.time > 0.0 else None
-        if forces is not None and not all_finite(forces) and np.isnan(forces[:, ::2]).any():
+        if forces is not None and np.isnan(forces[:, ::2]).any():
             return (
                 "the skin does not measure tangential forces, which law.observer needs; use the "
                 "law grip with such a skin"

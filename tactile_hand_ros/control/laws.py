@@ -215,7 +215,7 @@ class FittedGains(NamedTuple):
 
         An object on a support shows no load, so the load counts at least as a quarter of k_f, which
         a grasp bears with its reserve. K_p couples position and orientation, as the damping does.
-        Without the coupling, a turn about a point beside the contacts would be too stiff.
+        Otherwise rotations about a point beside the contacts would be too stiff.
         """
         return _gains_at(self, grasp_force, load)
 

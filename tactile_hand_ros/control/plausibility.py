@@ -45,19 +45,20 @@ def implausible_touch(
     the shape (k,), m.
     """
     gaps = tip_gaps(tips, contacts.positions, contacts.rotations, radii)
-    away = _are_longer(gaps, allowed)
+    lengths = _lengths(gaps)
+    away = ~(lengths <= allowed)
     if not away.any():
         return None
-    gap = 1e3 * np.linalg.norm(gaps[away], axis=1).max()
+    gap = 1e3 * lengths[away].max()
     reason = f"a contact is {gap:.2g} mm off its fingertip; holding until joints and touch fit"
     return Doubt(reason, away)
 
 
 @compiled
-def _are_longer(vectors: Array, lengths: Array) -> Fingers:
-    out = np.empty(len(vectors), dtype=np.bool_)
+def _lengths(vectors: Array) -> Array:
+    out = np.empty(len(vectors))
     for i in range(len(vectors)):
-        out[i] = not math.sqrt(dot(vectors[i], vectors[i])) <= lengths[i]
+        out[i] = math.sqrt(dot(vectors[i], vectors[i]))
     return out
 
 
@@ -194,7 +195,7 @@ class ForceTorqueCheck:
         fewest = np.ones(len(self._own), dtype=bool)
         for _, pressed in reversed(self._past):
             seen = self._measured, pressed, self._minimum + self._noise
-            misfits = _misfits(self._own, *seen, tolerance)
+            misfits = _differ(self._own, *seen, tolerance)
             if not misfits.any():
                 return misfits
             if misfits.sum() < fewest.sum():
@@ -221,16 +222,17 @@ class ForceTorqueCheck:
         if not self._repeats:
             first = [_Repeat(stamp, force, self._pressed, math.inf) for force in forces.tolist()]
             self._repeats = first
-        frozen, own = np.zeros(len(forces), dtype=bool), self._own > 0.0
+        frozen = np.zeros(len(forces), dtype=bool)
         for i, (force, last) in enumerate(zip(forces.tolist(), self._repeats, strict=True)):
             if force != last.force:
                 changes = [abs(a - b) for a, b in zip(force, last.force, strict=True) if a != b]
                 finest = min(last.finest, *changes)
                 self._repeats[i] = _Repeat(stamp, force, self._pressed, finest)
             elif 1e-9 * (stamp - last.stamp) > 2.0 * latency + COMPARISON_TIME:
-                change = np.abs((self._pressed - last.pressed)[own[i]]).max()
+                own = self._own[i] > 0.0
+                change = np.abs((self._pressed - last.pressed)[own]).max()
                 lever = math.sqrt(np.square(tips.linear[i]).sum(axis=0).max())
-                torque = np.abs(last.pressed[own[i]]).max()
+                torque = np.abs(last.pressed[own]).max()
                 fine = _FINE_FRACTION * (torque + self._minimum[i]) + _STEPS * lever * last.finest
                 shown = min(fine, _FROZEN_FRACTION * torque + self._minimum[i])
                 frozen[i] = change > self._noise[i] + shown
@@ -263,9 +265,7 @@ def _torques(
 
 
 @compiled
-def _misfits(
-    own: Array, measured: Array, pressed: Array, least: Array, tolerance: float
-) -> Fingers:
+def _differ(own: Array, measured: Array, pressed: Array, least: Array, tolerance: float) -> Fingers:
     """Return in which fingers two torques, shape (m,), N m, differ by more than the least, (k,).
 
     A fraction of the torques is tolerated. `own` is 1 for the joints of each finger, (k, m).

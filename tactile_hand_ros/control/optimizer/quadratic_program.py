@@ -91,7 +91,8 @@ class QuadraticProgram:
             exact: Whether to use OSQP only if the exact method fails.
         """
         self._example, self._exact = example, exact
-        self._matrix = sparse.csc_matrix(np.vstack([example.equal, example.rows]) != 0.0)
+        pattern = np.vstack([example.equal, example.rows]) != 0.0
+        self._matrix = sparse.csc_matrix(pattern.astype(float))
         self._held = np.zeros(len(example.rows), dtype=np.bool_)
         self._osqp: Any = None
 
@@ -124,7 +125,7 @@ class QuadraticProgram:
 
     def _set_up(self) -> None:
         weights, price, _, right, rows, bounds = self._example
-        matrix = self._matrix.astype(float)
+        matrix = self._matrix
         self._places = matrix.indices, np.repeat(np.arange(len(price)), np.diff(matrix.indptr))
         self._osqp = osqp.OSQP(algebra="builtin")
         self._osqp.setup(

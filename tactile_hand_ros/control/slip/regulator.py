@@ -94,7 +94,6 @@ class SlipRegulator:
         self._required = RequiredGraspForce(config.reserve, fingers, weight)
         self._response = SlipResponse(config.reflex, config.grasp_force)
         self._rejected, self._held = np.zeros(fingers, dtype=bool), False
-        self._trusts_some = self._trusts_all = True
         self.reset()
 
     def configure(self, config: SlipRegulatorConfig) -> None:
@@ -135,14 +134,11 @@ class SlipRegulator:
 
         See `Controller.touch_rejected`. Without any touch, the load is unknown.
         """
-        if np.array_equal(rejected, self._rejected):
-            return
-        if (rejected & ~self._rejected).any():
+        if any(rejected & ~self._rejected):
             self._forget_slips()
-        if rejected.all():
+        if all(rejected) and not all(self._rejected):
             self._required.reset()
         self._rejected = rejected
-        self._trusts_some, self._trusts_all = not rejected.all(), not rejected.any()
 
     @property
     def joints_held(self) -> bool:
@@ -228,7 +224,7 @@ class SlipRegulator:
         if not contacts.touching.any():
             self._estimator.reset()  # the next object may be another one
             self._raised = 0.0
-        if self._trusts_some and not self._trusts_all:
+        if any(self._rejected) and not all(self._rejected):
             contacts = contacts.without(self._rejected)
         touching, normals = contacts.touching, contacts.normals
         unknown = np.isnan(measured[:, ::2])
@@ -240,7 +236,7 @@ class SlipRegulator:
         fresh, self._last = (measured != self._last).any(axis=1), measured.copy()
         forces = in_palm(contacts.rotations, measured, 1.0)
         forces[~touching] = np.nan
-        learns = self._trusts_some and not self._held
+        learns = not (all(self._rejected) or self._held)
         if learns and (not self._kept or stamp - self._kept[-1][0] >= _AGE):
             # To restore it when touch is rejected.
             self._kept = [*self._kept[-1:], (stamp, self._estimator.memory)]
@@ -269,7 +265,7 @@ class SlipRegulator:
         """
         touching, c = contacts.touching, self.config
         fresh, self._last[:, 1] = normal != self._last[:, 1], normal
-        is_known = touching & self._steady & (self._trusts_some and not self._held)
+        is_known = touching & self._steady & (not (all(self._rejected) or self._held))
         forces, axes = np.zeros((2, self._fingers, 3))
         axes[:, 1] = 1.0
         forces[:, 1] = np.where(is_known, normal, np.nan)
@@ -299,7 +295,7 @@ class SlipRegulator:
 
     def _is_grasped(self, contacts: Contacts) -> bool:
         """Return whether contacts balance by themselves; a rejected finger presses, too."""
-        return contacts.enough_touching and self._trusts_all
+        return contacts.enough_touching and not any(self._rejected)
 
     def _split(self, contacts: Contacts, forces: Array) -> tuple[Split | None, Array]:
         """Return the split of a grasp's forces and its normals, shape (k, 3), NaN: not grasped.
@@ -309,7 +305,7 @@ class SlipRegulator:
         force, which is not balanced any more.
         """
         touching, grasped = contacts.touching, self._is_grasped(contacts)
-        if not self._trusts_some or not touching.any():
+        if all(self._rejected) or not touching.any():
             self._grasp = None
         elif grasped:
             self._grasp = contacts

@@ -42,16 +42,21 @@ def slips_once(ticks=500, **how):
     return np.concatenate([sticking(ticks), sliding(20, **how)])
 
 
+def in_noise(detector, contacts, ticks, freedoms, noise):
+    """Yield the states of contacts that stick, tested in two freedoms or the normal force alone."""
+    random, normals, new = np.random.default_rng(0), normals_of(contacts), np.ones(contacts, bool)
+    axes, kept = (normals, 1.0) if freedoms == 2 else (0.0 * normals, normals)
+    for _ in range(ticks):
+        forces = np.array([1.0, 5.0, 0.5]) + noise * random.standard_normal((contacts, 3))
+        yield detector.step(kept * forces, normals, axes, new, DT, freedoms)
+
+
 @pytest.mark.parametrize("freedoms", [1, 2])
 def test_false_alarms_are_as_rare_as_they_are_asked_to_be(freedoms):
     """A thousand contacts for 1 s, at one accepted alarm per contact and 12 min: 1.4 in total."""
     detector = SlipDetector(SlipDetectorConfig(false_alarm_time=720.0), 1000)
-    random, normals, new = np.random.default_rng(0), normals_of(1000), np.ones(1000, bool)
-    axes, kept = (normals, 1.0) if freedoms == 2 else (0.0 * normals, normals)
     before, alarms = np.zeros(1000, dtype=int), 0
-    for _ in range(1000):
-        forces = np.array([1.0, 5.0, 0.5]) + 0.01 * random.standard_normal((1000, 3))
-        now = detector.step(kept * forces, normals, axes, new, DT, freedoms)
+    for now in in_noise(detector, 1000, 1000, freedoms, 0.01):
         alarms += int(((now == SLIP) & (before != SLIP)).sum())
         before = now
     assert alarms <= 1
@@ -59,12 +64,9 @@ def test_false_alarms_are_as_rare_as_they_are_asked_to_be(freedoms):
 
 @pytest.mark.parametrize("freedoms", [1, 2])
 def test_noise_is_learned_without_a_bias(freedoms):
-    detector, random = SlipDetector(SlipDetectorConfig(noise=0.02), 500), np.random.default_rng(0)
-    normals, new = normals_of(500), np.ones(500, bool)
-    axes, kept = (normals, 1.0) if freedoms == 2 else (0.0 * normals, normals)
-    for _ in range(3000):
-        forces = 5.0 * normals + kept * 0.05 * random.standard_normal((500, 3))
-        detector.step(forces, normals, axes, new, DT, freedoms)
+    detector = SlipDetector(SlipDetectorConfig(noise=0.02), 500)
+    for _ in in_noise(detector, 500, 4000, freedoms, 0.05):
+        pass
     deviation = np.sqrt(detector._memory["variance"].mean())
     assert deviation == pytest.approx(0.05, rel=0.01)
 
