@@ -132,7 +132,7 @@ endif
 
 $(VENV)/.created:
 	@command -v '$(PYTHON)' >/dev/null || { \
-	echo "set-up: there is no '$(PYTHON)': install Python 3.10 or newer, or name one: make ... PYTHON=python3.12" >&2; \
+	echo "set-up: there is no '$(PYTHON)': install Python 3.10 to 3.14, or name one: make ... PYTHON=python3.12" >&2; \
 	exit 1; }
 	@$(PYTHON) requirements/check_python.py
 	@echo 'set-up 1/3: virtual environment $(VENV)'

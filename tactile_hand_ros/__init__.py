@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Hold and turn an unknown object with a tactile prosthetic hand, on ROS 2.
 
-The names below are what users of the library need; each is loaded when it is first asked for.
+The names below are what users of the library need; each is loaded on first use.
 `control` is what runs on a real hand and `simulation` what replaces one. `closed_loop` wires the
 blocks in-process, `ros` and `nodes` by topics. `bag`, `run`, `verify` and `report` work on
 recordings. docs/explanation/architecture.md shows the path of a tick, a slip and a recording.

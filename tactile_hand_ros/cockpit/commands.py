@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Commands of a page to the hand, by the topics, services and parameters that everybody has."""
+"""Commands of a page to the hand, by the topics, services and parameters that every user has."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The node `cockpit`: offers the page, fills its picture, and sends what its user asks for.
 
-It only watches and commands as any user may: no other node depends on it, and if it dies, a push
-ends by itself and the hand keeps its target.
+It only watches and commands as any user may: no other node depends on it, and if it crashes, a push
+times out and the hand keeps its target.
 """
 
 from __future__ import annotations

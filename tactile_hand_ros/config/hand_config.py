@@ -94,7 +94,7 @@ class HandConfig(Config):
     )
     package: str = param("", "Python package from PyPI that brings the URDF; empty for none")
     palm: str = param(
-        "palm", "link whose frame all positions refer to; what does not hang on it is left out"
+        "palm", "link whose frame all positions refer to; what is not behind it is left out"
     )
     fingers: list[FingerConfig] = param(
         ..., "fingers in the order of all arrays", min_length=2, max_length=_MOST_FINGERS

@@ -9,7 +9,7 @@ The torque tau is clipped to the effort limits first. Then
 
 At rest each applies tau. In motion, a position servo lacks k times the travel since q was measured:
 an age T of q acts as a damping k T. A velocity servo adds the damping d. If it also integrates its
-error, it pushes against an object with all it has: such a servo is not suitable.
+error, it presses on an object with its full torque: such a servo is not suitable.
 """
 
 from __future__ import annotations

@@ -189,11 +189,12 @@ def fenced(text: str, kind: str) -> str:
     return found.group(1)
 
 
-def test_a_hand_of_ones_own_is_tried_by_the_command_of_its_page(real_hand):
-    [option] = re.findall(r"--set (hand=\S+) …`", real_hand)
-    wide = 0.2604 + 2.0 * (0.06 - 0.012)  # m; its tips are smaller than those of the paper
-    changes = parse_changes([option, f"plant.object.size=[{wide}, {wide}, {wide}]", "duration=0.1"])
-    record = ClosedLoop(load_scenario("paper", changes)).run()
+def test_a_hand_of_ones_own_is_tried_by_the_commands_of_its_page(own_hand, monkeypatch):
+    monkeypatch.chdir(own_hand)
+    lines = re.findall(r"`tactile-hand ((?:hand|grasp) .*?)`", page("docs/how-to/real-hand.md"))
+    assert [tactile_hand(line.split()) for line in lines] == [0, 0]
+    [written] = (own_hand / "my").glob("my_hand_*.yaml")
+    record = ClosedLoop(load_scenario(str(written), {"duration": 0.1})).run()
     assert record.finger_names == ["thumb", "index", "middle"]
     assert np.isfinite(record.true_positions).all()
 
