@@ -46,21 +46,18 @@ def live(options: LiveOptions) -> None:
     from tactile_hand_ros.orchestrator.command import start
     from tactile_hand_ros.scenario.scenario import load_scenario
 
-    # In lockstep a busy computer slows time down, but never the hand's answers.
-    changes = [*options.changes]
-    if options.pacing != "realtime" and not any(c.startswith("plant.speed") for c in changes):
-        changes.append("plant.speed=1")
     own = dataclasses.replace(
         options,
         scenario=options.scenario or (None if options.named else _SCENARIO),
         interactive=True,
         composed=options.composed is not False,
-        changes=changes,
     )
-    turns = any(c.startswith("plant.palm_motion") for c in changes)
-    if not turns and not load_scenario(own.wanted).plant.palm_motion:
+    # In lockstep a busy computer slows time down, but never the hand's answers.
+    defaults = ["plant.speed=1"]
+    if not load_scenario(own.wanted).plant.palm_motion:
         # At rest until the page turns it. With a motion there is an IMU that measures it.
-        changes.append("plant.palm_motion=[{time: 0, rotation: [0, 0, 0]}]")
+        defaults.append("plant.palm_motion=[{time: 0, rotation: [0, 0, 0]}]")
+    own = dataclasses.replace(own, changes=[*defaults, *options.changes])
     companion = functools.partial(cockpit, port=options.port, browser=options.browser)
     raise typer.Exit(start(own, Signals().install(), [], "tactile-hand live", companion))
 

@@ -194,16 +194,19 @@ class Commands:
         count = 1
         while (folder := bag.parent / f"saved-{count}").exists():
             count += 1
-        folder.mkdir()
         copying = ["recover", bag, "--out", folder / "bag", "--last", last]
-        for words in (copying, ["report", folder]):
-            line = ["nice", sys.executable, "-m", f"{PACKAGE}.cli", *map(str, words)]
-            done = subprocess.run(line, capture_output=True, text=True)
-            if done.returncode:
-                reply(False, f"not saved: {done.stderr.strip()[-300:]}")
-                return
-        self._node.report = folder / "report.html"
-        reply(True, f"saved in {folder}")
+        try:
+            folder.mkdir()
+            for words in (copying, ["report", folder]):
+                line = ["nice", sys.executable, "-m", f"{PACKAGE}.cli", *map(str, words)]
+                subprocess.run(line, capture_output=True, text=True, check=True)
+        except subprocess.CalledProcessError as error:
+            reply(False, f"not saved: {error.stderr.strip()[-300:]}")
+        except OSError as error:
+            reply(False, f"not saved: {error}")
+        else:
+            self._node.report = folder / "report.html"
+            reply(True, f"saved in {folder}")
 
 
 def _send(pid: int, number: signal.Signals) -> None:

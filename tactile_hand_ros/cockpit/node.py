@@ -44,7 +44,6 @@ from tactile_hand_ros.scenario.scenario import NODES
 from tactile_hand_ros.simulation.plant_run import PUSH_LASTS
 from tactile_hand_ros.simulation.skin import TactileSensorConfig
 
-_PICTURE_PERIOD = 0.8 * PERIOD  # s, shortest; a batch of each node comes in one period
 _STATUS_PERIOD = 0.25  # s between two looks at ages and health
 _SILENT = 2.5  # s without diagnostics, which come every second
 _EVENTS = 200  # kept
@@ -78,7 +77,7 @@ class CockpitNode(TactileNode[CockpitConfig]):
         self.picture = Picture(self._hand.finger_names, (), -1)
         self.report: Path | None = None
         self._watch, self._events = Watch(), deque[dict[str, Any]](maxlen=_EVENTS)
-        self._numbers, self._due = itertools.count(1), 0.0
+        self._numbers = itertools.count(1)
         self._description, self._tree = "", dict[str, Any]()
         self._health: dict[str, dict[str, Any]] = {}
         self._alive: dict[str, tuple[float, str]] = {}
@@ -88,8 +87,9 @@ class CockpitNode(TactileNode[CockpitConfig]):
         self.commands = Commands(self)
         self._waiting = queue.SimpleQueue[tuple[Mapping[str, Any], Reply]]()
         self._bell = self.create_guard_condition(self.guarded("commands", self._on_commands))
+        self.create_timer(PERIOD, self._on_picture)
         self.create_timer(_STATUS_PERIOD, self._on_status)
-        self.status = self._status()
+        self._on_status()
         self._server = Server(self, live_page(self.config.name), self.config.port)
         print(f"{LINK}{self._server.link}", flush=True)
 
@@ -115,7 +115,6 @@ class CockpitNode(TactileNode[CockpitConfig]):
         profile.reliability = QoSReliabilityPolicy.BEST_EFFORT
         for topic, kind in kinds.items():
             self._direct[topic] = subscribe_directly(self, kind, topic, profile)
-        self.create_timer(PERIOD, self._on_drivers)
 
     def close(self) -> None:
         """Let stopped nodes continue."""
@@ -160,11 +159,15 @@ class CockpitNode(TactileNode[CockpitConfig]):
         batch = unpack_batch(message)
         self._take({topic: data for topic, data in batch.items() if topic not in self._direct})
 
-    def _on_drivers(self) -> None:
+    def _on_picture(self) -> None:
+        """Make rows of what is complete."""
         self._take({topic: [data for data, _ in taken(s)] for topic, s in self._direct.items()})
+        if self.picture.advance():
+            for stamp, kind, finger, text in self._watch.step(self.picture):
+                self.event(kind, text, finger, stamp)
 
     def _take(self, batch: Mapping[str, Sequence[bytes]]) -> None:
-        """Read messages by topic, oldest first, and show what they make complete."""
+        """Read messages by topic, oldest first."""
         states = batch.get(names.JOINT_STATES)
         is_new = self.picture.epoch < 0 and bool(self._description)
         if states and (is_new or header_stamp(states[-1]) < self.picture.stamp):
@@ -172,32 +175,22 @@ class CockpitNode(TactileNode[CockpitConfig]):
         if self.picture.epoch >= 0:
             for error in self.picture.take(batch):
                 self.reject("ticks", error)
-            self._show()
 
     def _begin(self, data: bytes) -> None:
         """Start a picture with the joints of a message."""
         joints = ContentReader("sensor_msgs/msg/JointState")(data).texts[1:]
         tips = {tip.tip: (tip.name, tip.radius) for tip in self._hand.fingers}
         self._tree = model.hand_tree(self._description, joints, tips)
-        self.picture = Picture(self._hand.finger_names, joints, self.picture.epoch + 1)
-        self._watch = Watch()
+        before, self._watch = self.picture, Watch()
+        self.picture = Picture(self._hand.finger_names, joints, before.epoch + 1)
+        if before.epoch < 0:  # the first target may come before the first ticks
+            self.picture.desired = before.desired
         self._events.clear()
 
-    def _show(self) -> None:
-        """Make new rows, at most one picture for each batch."""
-        now = time.monotonic()
-        if now >= self._due and self.picture.advance():
-            self._due = now + _PICTURE_PERIOD
-            for event in self._watch.step(self.picture):
-                self._add(*event)
-            self._server.notify()
-
-    def event(self, kind: str, text: str) -> None:
-        """Add an event of now."""
-        self._add(self.picture.stamp, kind, "", text)
-
-    def _add(self, stamp: int, kind: str, finger: str, text: str) -> None:
-        event = {"time": 1e-9 * stamp, "kind": kind, "finger": finger, "text": text}
+    def event(self, kind: str, text: str, finger: str = "", stamp: int | None = None) -> None:
+        """Add an event of a tick, ns, or of now."""
+        when = 1e-9 * (self.picture.stamp if stamp is None else stamp)
+        event = {"time": when, "kind": kind, "finger": finger, "text": text}
         self._events.append(event | {"id": next(self._numbers)})
 
     def _on_description(self, message: String) -> None:
@@ -240,14 +233,7 @@ class CockpitNode(TactileNode[CockpitConfig]):
         return int(pid) if pid.isdigit() and pids.count(pid) == 1 else None
 
     def _on_status(self) -> None:
-        self._show()  # the last rows before a pause
-        status = self._status()
-        if status != self.status:
-            self.status = status
-            self._server.notify()
-
-    def _status(self) -> dict[str, Any]:
-        """Return what a tab shows besides the picture."""
+        """Update what a tab shows besides the picture."""
         now, nodes = time.monotonic(), []
         for name, health in sorted(self._health.items()):
             age, alone = now - self._alive[name][0], self.process_of(name) is not None
@@ -255,7 +241,7 @@ class CockpitNode(TactileNode[CockpitConfig]):
             if node["silent"]:
                 node |= {"level": _STALE, "message": f"silent for {age:.0f} s"}
             nodes.append(node)
-        return {
+        self.status = {
             "nodes": nodes,
             "margins": dict(sorted(self._margins.items())),
             "events": list(self._events),

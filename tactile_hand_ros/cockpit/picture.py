@@ -121,7 +121,7 @@ class Picture:
         """Start empty."""
         self.fingers, self.joint_names, self.epoch = tuple(fingers), tuple(joint_names), epoch
         self.total, self.desired, self.push = 0, np.full(7, np.nan), np.zeros(6)
-        self.push_end, self.shown = 0, -1
+        self.push_end, self.shown, self._taken = 0, -1, time.monotonic()
         k, m = len(fingers), len(joint_names)
         joint, pose = "sensor_msgs/msg/JointState", "geometry_msgs/msg/PoseStamped"
         self.tracks = {
@@ -150,6 +150,11 @@ class Picture:
 
     def take(self, batch: Mapping[str, Sequence[bytes]]) -> Iterator[MessageError]:
         """Read the messages of a batch by topic, and yield an error for a bad topic."""
+        pause = time.monotonic() - self._taken if any(batch.values()) else 0.0
+        self._taken += pause
+        if pause > _ALIVE:  # nothing has moved; no topic has died meanwhile
+            for track in self.tracks.values():
+                track.received += pause
         for topic, track in self.tracks.items():
             track.forget(self.shown - _WINDOW)
             try:

@@ -28,6 +28,7 @@ web = optional("aiohttp.web", "the cockpit")
 Reply = Callable[[bool, str], None]
 
 _HEAD = struct.Struct("<IIII")  # epoch, rows, width, nothing
+_PERIOD = 1.0 / 60.0  # s between two looks for news
 _ADDRESS = "127.0.0.1"
 _LARGEST = 65_536  # bytes of a command
 
@@ -39,7 +40,8 @@ class Tab:
         """Start without a picture."""
         self._socket = socket
         self.epoch, self.total, self.status = -1, 0, dict[str, Any]()
-        self.is_ready, self.news = asyncio.Event(), asyncio.Event()
+        self.is_ready = asyncio.Event()
+        self.is_ready.set()
 
     async def send(self, **message: Any) -> None:
         """Send a message."""
@@ -83,7 +85,6 @@ class Server:
             ) from None
         self._node, self._page = node, page
         self._token = secrets.token_urlsafe(24)
-        self._tabs = set[Tab]()
         self._driver: Tab | None = None
         port = listener.getsockname()[1]
         self._hosts = [f"{_ADDRESS}:{port}", f"localhost:{port}"]
@@ -99,22 +100,20 @@ class Server:
         options = {"print": None, "access_log": None, "handle_signals": False}
         threading.Thread(target=run, kwargs=options, name="cockpit", daemon=True).start()
 
-    def notify(self) -> None:
-        """Wake up the tabs; call it from any thread when there is a new picture or status."""
-        self._loop.call_soon_threadsafe(self._wake)
-
-    def _wake(self) -> None:
-        for tab in self._tabs:
-            tab.news.set()
-
     def _check(self, request: Any) -> None:
         """Refuse a request with a wrong host, origin or token."""
         origin = request.headers.get("Origin", f"http://{request.host}")
         if request.host not in self._hosts or origin != f"http://{request.host}":
-            raise web.HTTPForbidden(text=_FOREIGN.format(origin, self._hosts[0]))
+            raise web.HTTPForbidden(
+                text=f"The request comes from '{origin}', but the cockpit only serves its own "
+                f"page, http://{self._hosts[0]}."
+            )
         given = request.query.get("token", "")
         if not secrets.compare_digest(given.encode(), self._token.encode()):
-            raise web.HTTPForbidden(text=_NO_TOKEN)
+            raise web.HTTPForbidden(
+                text="This link has no valid token, or an old one; open the link that the cockpit "
+                "has printed."
+            )
 
     async def _on_page(self, request: Any) -> Any:
         self._check(request)
@@ -128,31 +127,28 @@ class Server:
 
     async def _on_socket(self, request: Any) -> Any:
         self._check(request)
-        connection = web.WebSocketResponse(max_msg_size=_LARGEST, heartbeat=20.0)
+        options: dict[str, Any] = {"max_msg_size": _LARGEST, "heartbeat": 20.0, "compress": False}
+        connection = web.WebSocketResponse(**options)
         await connection.prepare(request)
         tab = Tab(connection)
-        self._tabs.add(tab)
         self._driver = self._driver or tab
-        tab.news.set()
         serving = asyncio.ensure_future(self._serve(tab))
         try:
             async for message in connection:
                 self._on_command(tab, json.loads(message.data))
         finally:
             serving.cancel()
-            self._tabs.remove(tab)
             if self._driver is tab:
-                self._drive(None)
+                self._driver = None
         return connection
 
     async def _serve(self, tab: Tab) -> None:
-        """Send a picture whenever there is news and the tab is ready for it, until it is gone."""
+        """Send what is new whenever the tab is ready for it, until it is gone."""
         with contextlib.suppress(ConnectionError):
             while True:
                 await tab.is_ready.wait()
-                await tab.news.wait()
-                tab.news.clear()
                 await tab.show(self._node, tab is self._driver)
+                await asyncio.sleep(_PERIOD)
 
     def _on_command(self, tab: Tab, command: Mapping[str, Any]) -> None:
         def reply(ok: bool, text: str) -> None:
@@ -162,24 +158,14 @@ class Server:
         if command["do"] == "ready":
             tab.is_ready.set()
         elif command["do"] == "drive":
-            self._drive(tab)
+            self._driver = tab
             reply(True, "this tab has control")
-        elif tab is not self._driver:
+        elif tab is not self._driver and command["do"] != "parameters":
             reply(False, "another tab has control; press Take over first")
         else:
             self._node.submit(command, reply)
-
-    def _drive(self, tab: Tab | None) -> None:
-        self._driver = tab
-        self._wake()
 
 
 def _html(text: str) -> Any:
     headers = {"Cache-Control": "no-store", "Referrer-Policy": "no-referrer"}
     return web.Response(text=text, content_type="text/html", headers=headers)
-
-
-_NO_TOKEN = (
-    "This link has no valid token, or an old one; open the link that the cockpit has printed."
-)
-_FOREIGN = "The request comes from '{}', but the cockpit only serves its own page, http://{}."

@@ -22,7 +22,7 @@ from tactile_hand_ros.ros.node import TactileNode
 from tactile_hand_ros.ros.runner import run_node
 
 ADDRESS = "127.0.0.1"
-"""Whoever reaches the socket moves the hand, since its protocol knows no password."""
+"""Whoever reaches the socket sees everything, since its protocol has no authentication."""
 
 _PERIOD = 1.0 / 60.0  # s between two deliveries
 _DISCOVERY_PERIOD = 0.5  # s between two searches for new topics
@@ -34,6 +34,9 @@ class FoxgloveBridgeConfig(Config):
     """Configuration of the bridge."""
 
     port: int = param(8765, "port on this machine, 0 for any free one", ge=0, le=65535)
+    commands: bool = param(
+        False, "let clients command poses and grasp forces, any web page in your browser included"
+    )
 
 
 class _Client:
@@ -64,8 +67,8 @@ class _Client:
 class FoxgloveBridgeNode(TactileNode[FoxgloveBridgeConfig]):
     """Offers every topic of the graph on a WebSocket, in the protocol of Foxglove.
 
-    A topic is subscribed while a client shows it. Clients may publish `desired_pose` and
-    `user_grasp_force`; the nodes that receive these check them.
+    A topic is subscribed while a client shows it. With `commands`, clients may publish
+    `desired_pose` and `user_grasp_force`; the nodes that receive these check them.
 
     Publications: `desired_pose` (geometry_msgs/PoseStamped), `user_grasp_force` (std_msgs/Float64),
     `/diagnostics`.
@@ -93,7 +96,7 @@ class FoxgloveBridgeNode(TactileNode[FoxgloveBridgeConfig]):
                 name="tactile_hand_ros",
                 host=ADDRESS,
                 port=self.config.port,
-                capabilities=[self._sdk.Capability.ClientPublish],
+                capabilities=[self._sdk.Capability.ClientPublish] * self.config.commands,
                 supported_encodings=["cdr"],
                 server_listener=self._listener,
                 context=self._hub,

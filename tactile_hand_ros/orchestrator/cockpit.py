@@ -13,12 +13,11 @@ from tactile_hand_ros.cockpit.config import LINK, CockpitConfig
 from tactile_hand_ros.command_line import open_in_browser
 from tactile_hand_ros.extras import optional
 from tactile_hand_ros.names import COCKPIT
-from tactile_hand_ros.orchestrator.processes import NodeProcess, started_by
+from tactile_hand_ros.orchestrator.processes import NodeDiedError, Processes
 from tactile_hand_ros.orchestrator.run_directory import RunDirectory
 from tactile_hand_ros.orchestrator.session import Plan
-from tactile_hand_ros.ros.processes import end_together, wait_until
 
-_PATIENCE = 60.0  # s, of a cockpit that loads next to five nodes
+_PAUSE = 0.05  # s between two looks at the output of the cockpit
 
 
 @contextlib.contextmanager
@@ -38,31 +37,31 @@ def cockpit(
         port=port,
         bag=str(directory.bag.resolve()) if plan.record else "",
     )
-    file = directory.write_parameters(COCKPIT, config)
-    words = ["--ros-args", "--disable-external-lib-logs", "--params-file", str(file.resolve())]
-    if plan.namespace != "/":
-        words += ["-r", f"__ns:={plan.namespace}"]
-    command = started_by(COCKPIT, ["setpriv", "--pdeathsig", "KILL", "--"])
-    process = NodeProcess(COCKPIT, [*command, *words], directory.log(COCKPIT))
-
-    def link() -> str:
-        """Return the link that the cockpit has printed, empty before."""
-        lines = (line for line in process.tail() if line.startswith(LINK))
-        return next(lines, "").removeprefix(LINK)
+    file = directory.write_parameters(COCKPIT, config).resolve()
+    words = [*plan.ros_arguments, "--params-file", str(file)]
+    over = threading.Event()
 
     def announce() -> None:
-        with contextlib.suppress(TimeoutError):
-            wait_until(lambda: link() or process.returncode is not None, _PATIENCE)
-        if found := link():
-            console.print(f"cockpit: {found}", soft_wrap=True)
-            if browser:
-                open_in_browser(found)
-        else:
-            reason = (process.tail() or [f"see {process.log}"])[-1]
-            console.print(f"the cockpit did not start: {reason}", soft_wrap=True)
+        """Print the link once the cockpit has printed it, or why it never will."""
+        while not over.wait(_PAUSE):
+            try:
+                processes.check()
+            except NodeDiedError as error:
+                console.print(f"{error}; the run goes on without its page", soft_wrap=True)
+                return
+            lines = [line for line in processes.tail(COCKPIT) if line.startswith(LINK)]
+            if lines:
+                console.print(lines[0], soft_wrap=True)
+                if browser:
+                    open_in_browser(lines[0].removeprefix(LINK))
+                return
 
-    threading.Thread(target=announce, daemon=True).start()
-    try:
-        yield
-    finally:
-        end_together([process])
+    with Processes() as processes:
+        processes.start(COCKPIT, directory.log(COCKPIT), *words)
+        waiting = threading.Thread(target=announce, daemon=True)
+        waiting.start()
+        try:
+            yield
+        finally:
+            over.set()
+            waiting.join()  # only one thread may look whether a process has ended

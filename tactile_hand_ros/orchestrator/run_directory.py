@@ -37,8 +37,8 @@ class RunDirectory:
             while not _make(run.path):  # a second run in the same second gets a number
                 number += 1
                 run = cls(root / f"{stem}-{number}")
-            for folder in ("logs", "parameters"):
-                (run.path / folder).mkdir()
+            (run.path / "logs").mkdir(mode=0o700)  # one of them has the link of the cockpit
+            (run.path / "parameters").mkdir()
             replace_link(root / "latest", run.path.name)
         except OSError as error:
             raise ConfigurationError(

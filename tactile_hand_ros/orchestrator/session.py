@@ -97,6 +97,13 @@ class Plan:
         """Return the executable of a node."""
         return COMPOSED if self.composed else node
 
+    @property
+    def ros_arguments(self) -> list[str]:
+        """The ROS arguments that all processes share."""
+        # The log here already has a node's output; a second one in the home folder is not needed.
+        common = ["--ros-args", "--disable-external-lib-logs"]
+        return common if self.namespace == "/" else [*common, "-r", f"__ns:={self.namespace}"]
+
 
 @dataclass
 class RunOutcome:
@@ -147,17 +154,13 @@ class Session:
     def _start(self) -> None:
         """Start all processes without waiting, so that they load at the same time."""
         configs = self._configs(self.directory.write_scenario(self.plan.scenario))
-        # The log here already has a node's output; a second one in the home folder is not needed.
-        common = ["--ros-args", "--disable-external-lib-logs"]
-        if self.plan.namespace != "/":
-            common += ["-r", f"__ns:={self.plan.namespace}"]
         for name in dict.fromkeys(map(self.plan.process, configs)):
             self.signals.check()
             own = [node for node in configs if self.plan.process(node) == name]
             words = [names.RECORD] if name == COMPOSED and RECORDER in own else []
             if self.plan.priority and name != RECORDER:
                 words += [PRIORITY, str(self.plan.priority)]
-            words += common
+            words += self.plan.ros_arguments
             for node in own:
                 file = self.directory.write_parameters(node, configs[node])
                 words += ["--params-file", str(file.resolve())]

@@ -140,5 +140,6 @@ def end_together(processes: Sequence[ChildProcess]) -> None:
     for number, patience in _PATIENCE:
         for process in processes:
             process.send_to_group(number)
+            process.send_to_group(signal.SIGCONT)  # a stopped one could not end
         with suppress(TimeoutError):
             wait_until(have_ended, patience)

@@ -140,6 +140,7 @@ def test_it_shows_the_running_hand(page: Page, hand: tuple[Graph, str]) -> None:
 def test_a_pull_slips_and_is_caught(page: Page, hand: tuple[Graph, str]) -> None:
     graph, _ = hand
     force = row(page, "grasp_force")[0]
+    listeners = page.js("return report.theme._listeners.length")
     x, y = screen(page, "scene.solid.group.position")
     drag(page, (x, y), (x - 10, y + 60), (x - 20, y + 110), hold=True)
     page.wait(lambda: np.linalg.norm(row(page, "push")[:3]) > 2.0)
@@ -154,6 +155,9 @@ def test_a_pull_slips_and_is_caught(page: Page, hand: tuple[Graph, str]) -> None
         assert 0.0 <= response.get(step, 0.0) <= 1e3 * REACTION
     assert row(page, "grasp_force")[0] > force
     assert page.driver.find_element(By.CSS_SELECTOR, ".response .step b").text != "\u2013"
+    page.wait(lambda: page.driver.find_elements(By.CSS_SELECTOR, ".event-key .sign.slip"))
+    assert len(page.driver.find_elements(By.CSS_SELECTOR, ".event-key .sign.slip")) == 1
+    assert page.js("return report.theme._listeners.length") == listeners
     page.wait(lambda: np.allclose(row(page, "push"), 0.0))
     assert np.isfinite(graph.contacts).all(), "the object was dropped"
 
@@ -237,8 +241,12 @@ def test_handles_move_the_goal_and_snap_back_from_out_of_reach(page: Page) -> No
 
 
 def test_two_tabs_watch_and_one_drives(page: Page, hand: tuple[Graph, str], tmp_path: Path) -> None:
+    choose(page, "finger 2", "off")
+    page.wait(lambda: np.isnan(row(page, "contact_positions")[3:6]).all())
     with browser(tmp_path / "other") as other:
         other.open(hand[1], size=(390, 844), dark=True)
+        fault = "return document.querySelector(\"[aria-label='fault of finger 2']\").value"
+        other.wait(lambda: other.js(fault) == "off")
         assert other.js("return report.source.run.columns.time.rows") > 0
         assert other.js("return document.documentElement.scrollWidth <= innerWidth")
         refused = ask(other, {"do": "pause"})
@@ -247,9 +255,12 @@ def test_two_tabs_watch_and_one_drives(page: Page, hand: tuple[Graph, str], tmp_
         other.wait(lambda: other.js("return report.source.drives"))
         page.wait(lambda: not page.js("return report.source.drives"))
         assert not ask(page, {"do": "pause"})["ok"]
+        choose(other, "finger 2", "none")
+        other.wait(lambda: np.isfinite(row(other, "contact_positions")).all())
         assert ask(other, {"do": "pause"})["ok"] and ask(other, {"do": "run"})["ok"]
         assert other.errors == []
     assert ask(page, {"do": "drive"})["ok"]
+    page.wait(lambda: page.js(fault) == "none")
 
 
 def test_a_suspended_tab_gets_the_present_when_it_wakes_up(
@@ -343,6 +354,8 @@ def test_a_stopped_node_leads_to_the_safe_state_and_back(tmp_path: Path) -> None
         page.js(f'document.querySelector("{stop}").click()')
         page.wait(lambda: page.js("return report.state.textContent") == "holding")
         page.wait(lambda: page.driver.find_elements(By.CSS_SELECTOR, ".nodes .light.bad"))
+        unheard = {"do": "set", "node": "tactile_sensor", "name": "faults", "value": []}
+        assert "no answer within 5 s" in ask(page, unheard)["text"]
         page.js(f'document.querySelector("{stop.replace("stop", "continue")}").click()')
         page.wait(lambda: page.js("return report.state.textContent") == "running")
         assert page.errors == []

@@ -25,6 +25,7 @@ from tactile_hand_ros.scenario.scenario import load_scenario
 
 SCENARIO = load_scenario("gravity", {"duration": 3600.0, "plant.speed": 1.0})
 PATIENCE = 60.0  # s
+OPTIONS = ("-p", "port:=0", "-p", "commands:=true")
 SOCKET = r"foxglove: (ws://127\.0\.0\.1:\d+)"
 
 
@@ -34,6 +35,7 @@ class Client:
     def __init__(self, socket: aiohttp.ClientWebSocketResponse) -> None:
         self._socket = socket
         self.channels: dict[str, dict[str, Any]] = {}
+        self.capabilities = ["unknown"]
         self._names: dict[int, str] = {}
 
     async def read(self) -> tuple[str, bytes]:
@@ -45,6 +47,7 @@ class Client:
                 _, number, _ = struct.unpack_from("<BIQ", message.data)
                 return self._names[number], message.data[13:]
             said = json.loads(message.data)
+            self.capabilities = said.get("capabilities", self.capabilities)
             self.channels |= {each["topic"]: each for each in said.get("channels", [])}
             if said["op"] == "advertise":
                 return "", b""
@@ -75,7 +78,7 @@ def graph(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Graph, str
     folder = tmp_path_factory.mktemp("parameters")
     with (
         isolated_domain() as domain,
-        start_executable("foxglove_bridge", "--ros-args", "-p", "port:=0") as bridge,
+        start_executable("foxglove_bridge", "--ros-args", *OPTIONS) as bridge,
         Graph(SCENARIO, domain, folder, composed=True) as graph,
     ):
         bridge.wait_for_output("ws://", PATIENCE)
@@ -142,3 +145,19 @@ def test_a_client_steers_the_hand_and_nothing_else(graph: tuple[Graph, str]) -> 
     assert talk(link, act).pose.position == pose.pose.position
     hand.wait(lambda: hand.rejected("foxglove_bridge", "/joint_command") >= 1, "a refusal")
     hand.wait(lambda: hand.rejected(names.CONTROLLER, names.DESIRED_POSE) >= 1, "another")
+
+
+def test_by_default_no_client_commands() -> None:
+    """Any web page in a browser of this machine reaches the socket."""
+
+    async def act(client: Client) -> list[str]:
+        await client.read()
+        return client.capabilities
+
+    with (
+        isolated_domain(),
+        start_executable("foxglove_bridge", "--ros-args", "-p", "port:=0") as bridge,
+    ):
+        bridge.wait_for_output("foxglove: ", PATIENCE)
+        link = re.search(SOCKET, bridge.stdout)[1]  # type: ignore[index]
+        assert talk(link, act) == []

@@ -5,10 +5,12 @@ import fcntl
 import json
 import os
 import pty
+import re
 import signal
 import subprocess
 import sys
 import termios
+import urllib.request
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from pathlib import Path
@@ -16,12 +18,14 @@ from pathlib import Path
 import numpy as np
 import psutil
 import pytest
+import yaml
 from rosbags.rosbag2 import Reader
 from support.graph import TICK_TOPICS
 
 from bench.processes import CapturedProcess, start_executable
 from tactile_hand_ros.bag.reader import summarize
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
+from tactile_hand_ros.cockpit.config import LINK
 from tactile_hand_ros.orchestrator.session import START_ORDER
 from tactile_hand_ros.ros.processes import PACKAGE, executable_path, wait_until
 from tactile_hand_ros.run.run import Run
@@ -30,6 +34,7 @@ from tactile_hand_ros.verify.recompute import recompute
 
 # Six processes and their libraries start; a machine that does other things too takes its time.
 PATIENCE = 90.0
+BOTH = ("plant", "cockpit")
 NEAR = """
 extends: paper
 description: A target that is nearly reached already.
@@ -186,6 +191,25 @@ def test_run_reaches_its_goal_and_is_recorded_completely(domain, tmp_path):
     report = folder.resolve() / "report.html"
     assert report.stat().st_size > 500_000
     assert "report: " in done.stdout
+
+
+def test_live_offers_a_page_until_ctrl_c(domain, tmp_path):
+    options = ("--no-browser", "--no-report", "--namespace", "/left", "--out", tmp_path / "runs")
+    words = [sys.executable, "-m", f"{PACKAGE}.cli", "live", *map(str, options)]
+    with CapturedProcess(words) as live:
+        live.wait_for_output(LINK, PATIENCE)
+        wait_until_running(tmp_path, live)
+        link = re.search(rf"{LINK}(\S+)", live.stdout)[1]
+        assert urllib.request.urlopen(link).read().startswith(b"<!doctype html>")
+        members = psutil.Process(live.pid).children(recursive=True)
+        stored = (latest(tmp_path) / "parameters").glob("*.yaml")
+        files = {file.stem: yaml.safe_load(file.read_text()) for file in stored}
+        plant, cockpit = (next(iter(files[name].values()))["ros__parameters"] for name in BOTH)
+        assert plant["speed"] == 1.0 and plant["palm_motion"]
+        assert cockpit["bag"] == str(latest(tmp_path).resolve() / "bag")
+        live.send(signal.SIGINT)
+        assert end_of(live) == 0, live.stdout
+    assert_gone(members)
 
 
 def test_missed_goal_is_an_exit_code_also_in_a_namespace(start, near, tmp_path):

@@ -17,6 +17,7 @@ from bench.processes import CapturedProcess, isolated_domain
 from tactile_hand_ros.cli import main
 from tactile_hand_ros.command_line import run_command
 from tactile_hand_ros.config.paths import scenario_names
+from tactile_hand_ros.config.plain_yaml import parse_changes
 from tactile_hand_ros.hand.hand import Hand
 from tactile_hand_ros.report.hand import example_posture, notes
 from tactile_hand_ros.ros.processes import wait_until
@@ -206,6 +207,34 @@ def test_an_rclpy_that_cannot_be_loaded_is_one_sentence(capsys):
     assert run_command("hand", load) == 2
     said = capsys.readouterr().err
     assert "has this shell sourced another ROS" in said and said.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("words", "wanted", "speed", "motion"),
+    [
+        ([], "gravity", 1, [{"time": 0, "rotation": [0, 0, 0]}]),
+        (["--set", "plant.speed=2", "--set", "plant.palm_motion=[]"], "gravity", 2, []),
+        (["--scenario", "forearm"], "forearm", 1, None),
+    ],
+)
+def test_live_runs_at_real_time_and_lets_the_page_turn_the_palm(
+    words, wanted, speed, motion, monkeypatch
+):
+    begun = []
+    monkeypatch.setattr(
+        "tactile_hand_ros.orchestrator.command.start", lambda options, *_: begun.append(options)
+    )
+    assert main(["live", *words]) == 0
+    [options] = begun
+    assert options.wanted == wanted and options.interactive and options.composed
+    changes = parse_changes(options.changes)
+    assert changes["plant.speed"] == speed and changes.get("plant.palm_motion") == motion
+
+
+def test_a_finished_run_is_shown_as_its_report(run, capsys):
+    assert main(["live", "--bag", str(run), "--no-browser"]) == 0
+    shown = capsys.readouterr().out.split()
+    assert Path(shown[-1]).read_text().startswith("<!doctype html>")
 
 
 def test_reproduce_writes_figures_and_report(tmp_path, capsys):

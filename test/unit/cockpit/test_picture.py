@@ -90,12 +90,31 @@ def test_rows_wait_for_a_topic_that_still_comes_and_not_for_a_dead_one(
     assert picture.total == 1  # the touch of 4 and 6 ms may be on its way
     assert take(picture, touch) == []
     assert picture.since(0)[1].tolist() == [0.002, 0.004, 0.006]
-    now[0] += 1.0
-    late = batch(100)
-    late.pop(names.CONTACTS)
-    assert take(picture, late) == []
+    for stamp in (100, 200, 300):
+        now[0] += 0.15
+        late = batch(stamp)
+        late.pop(names.CONTACTS)
+        assert take(picture, late) == []
     assert np.isnan(shown(picture, "contact_positions")[-1]).all()
     assert np.isfinite(shown(picture, "theta")[-1]).all()
+
+
+def test_after_a_pause_a_row_waits_for_all_topics_again(
+    picture: Picture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    now = [100.0]
+    monkeypatch.setattr("time.monotonic", lambda: now[0])
+    watch = Watch()
+    take(picture, batch(2))
+    assert list(watch.step(picture)) == []
+    now[0] += 60.0
+    step = batch(4, **SLIPS)
+    touch = {names.GRIP_STATE: step.pop(names.GRIP_STATE)}
+    take(picture, step)
+    assert picture.total == 1 and list(watch.step(picture)) == []
+    take(picture, touch)
+    assert picture.total == 2
+    assert [event[1] for event in watch.step(picture)] == ["detection"]
 
 
 def test_many_ticks_become_few_rows_with_the_newest_among_them(

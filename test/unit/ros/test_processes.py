@@ -58,6 +58,21 @@ def test_waiting_in_vain_says_for_what():
     assert wait_until(lambda: 3) == 3
 
 
+def test_a_stopped_process_ends_as_cleanly_as_any_other():
+    program = (
+        "import signal, sys\n"
+        "signal.signal(signal.SIGINT, lambda *_: sys.exit(0))\n"
+        "print('ready', flush=True)\n"
+        "signal.pause()\n"
+    )
+    with CapturedProcess([sys.executable, "-c", program]) as process:
+        process.wait_for_output("ready", 10.0)
+        process.send(signal.SIGSTOP)
+        wait_until(lambda: psutil.Process(process.pid).status() == psutil.STATUS_STOPPED)
+        end_together([process])
+        assert process.returncode == 0
+
+
 def test_all_that_a_process_has_started_ends_with_it_even_if_it_ignores_signals():
     """A group whose leader was reaped gets no signal: its number may have been reused."""
     program = (

@@ -14,7 +14,8 @@ const SYNC = uPlot.sync("time");
  * A plot.
  *
  * `spec`: `title`, `unit`, `height`, `lines` (each `label`, `color()`, `data` and optionally `dash`, `width`,
- * `group`, `value`, `points`), `log`, `range` (limits of y), `marks` (whether events are drawn with their signs).
+ * `group`, `value`, `points`), `log`, `range` (limits of y), `marks` (whether events are drawn with their signs),
+ * `keys` (kind and title of the signs in the legend).
  */
 export class Chart {
   constructor(spec, context) {
@@ -37,12 +38,27 @@ export class Chart {
   _head() {
     const { spec } = this;
     this.items = legendItems(spec.lines).map((item) => new LegendItem(item, this));
+    this.legend = el("span", { class: "legend" }, ...this.items.map((item) => item.element));
+    this._explain(spec.keys);
     return el(
       "figcaption",
       {},
       el("span", { class: "chart-title" }, spec.title, el("small", {}, spec.unit ? ` ${spec.unit}` : "")),
-      el("span", { class: "legend" }, ...this.items.map((item) => item.element), ...(spec.keys ?? [])),
+      this.legend,
     );
+  }
+
+  /** Explain the signs of the events that there are. */
+  _explain(keys = []) {
+    if (this.keys?.length === keys.length) return;
+    for (const key of this.keys ?? []) key.remove();
+    this.keys = keys.map(([kind, title]) => el("span", { class: "event-key", "data-kind": kind }, el("i", { class: `sign ${kind}` }), title));
+    this.legend.append(...this.keys);
+    this._paintKeys();
+  }
+
+  _paintKeys() {
+    for (const key of this.keys) key.style.setProperty("--event", this.context.theme.event(key.dataset.kind));
   }
 
   _options() {
@@ -139,12 +155,14 @@ export class Chart {
   /** Show other data of the same lines. */
   update(spec) {
     this.spec.range = spec.range;
+    this._explain(spec.keys);
     for (const item of this.items) for (const line of item.lines) line.data = spec.lines[line.series - 1].data;
     this.plot.setData([this.context.time, ...spec.lines.map((line) => line.data)]);
   }
 
   _repaint() {
     for (const item of this.items) item.repaint();
+    this._paintKeys();
     this.plot.redraw(false);
   }
 }

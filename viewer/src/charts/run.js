@@ -2,7 +2,6 @@
 // The plots of one run.
 
 import { column } from "../data.js";
-import { el } from "../dom.js";
 import { columnsOf } from "./chart.js";
 
 const DASHES = [undefined, [6, 3], [2, 3], [8, 3, 2, 3]];
@@ -67,7 +66,7 @@ export function runCharts(run, theme) {
       unit: "k_f, N",
       marks: true,
       range: (_, min, max) => [Math.min(0, min ?? 0), 1.12 * Math.max(max ?? 1, 1e-6)],
-      keys: eventKeys(run.events, theme),
+      keys: Object.entries(TITLES).filter(([kind]) => run.events.some((event) => event.kind === kind)),
       lines: [{ label: "k_f", color: () => theme.get("ink"), data: column(columns.grasp_force, 0), width: 2 }],
     },
     columns.latency && {
@@ -90,15 +89,4 @@ function ceiling(friction, max) {
   for (const value of friction.values) if (value > learned) learned = value;
   const top = learned > 0 ? Math.min(max ?? 1, 1.8 * learned) : (max ?? 1);
   return Math.max(1.1 * Math.max(learned, top), 1e-3);
-}
-
-function eventKeys(events, theme) {
-  const kinds = Object.keys(TITLES).filter((kind) => events.some((event) => event.kind === kind));
-  return kinds.map((kind) => {
-    const key = el("span", { class: "event-key" }, el("i", { class: `sign ${kind}` }), TITLES[kind]);
-    const paint = () => key.style.setProperty("--event", theme.event(kind));
-    paint();
-    theme.listen(paint);
-    return key;
-  });
 }

@@ -56,9 +56,18 @@ function changed(page, what) {
     return;
   }
   showState(page);
-  for (const part of page.parts ?? []) part.update();
+  refresh(page, what === "run" || page.drove !== source.drives);
+  page.drove = source.drives;
   if (what === "status") refusals(page);
   if (what === "run" && page.zoom) page.player.play();
+}
+
+/** Update the panels; `anew` asks for the values in force, too, which others may have changed. */
+function refresh(page, anew) {
+  for (const part of page.parts ?? []) {
+    part.update();
+    if (anew) part.load?.();
+  }
 }
 
 /** Draw what has come, then ask for more: a tab that does not draw gets nothing. */
@@ -67,9 +76,9 @@ function picture(page) {
   const { source, player } = page;
   const { time } = source.run;
   if (time.length) {
-    if (!page.built) page.build();
     player.advance(time[0], time[time.length - 1]);
-    if (player.playing) plots(page);
+    if (!page.built) page.build();
+    if (player.playing && page.charts.length) plots(page);
     page.handles?.follow();
     page.up?.();
   }
@@ -86,7 +95,7 @@ function plots(page) {
   page.charts.forEach((chart, i) => chart.update(specs[i]));
   if (page.scene && began > (page.trailDue ?? 0)) {
     page.trailDue = began + TRAIL;
-    page.scene.renewTrail();
+    page.scene.trail.renew(source.run.columns.auxiliary_position);
     page.scene.rescale();
   }
   page.plotDue = began + Math.max(PLOTTING[0], PLOTTING[1] * (performance.now() - began));
@@ -96,27 +105,36 @@ function build(page, content) {
   page.built = true;
   const { source, player, theme } = page;
   const { run } = source;
-  const [start, end] = [run.time[0], run.time[run.time.length - 1]];
-  player.advance(start, end);
-  page.zoom = new Zoom(start, end);
+  page.zoom = new Zoom(player.start, player.end);
   const context = { events: run.events, theme, player, zoom: page.zoom, get time() { return run.time; } };
   const { element, viewport, scene } = stage(run, content.axes, context, bar(page));
   page.scene = scene;
   listenToKeys({ player, zoom: page.zoom, theme, events: run.events, times: [0, 0.1] });
   if (scene) hands(page, viewport);
-  page.parts = [controls(page), response(source), nodeList(source, page.act), breaks(source, page.act), assumptions(source), parameters(source, page.act)];
-  const [steering, last, ...rest] = page.parts;
-  const charts = el("div", { class: "plots" });
+  const side = el("div", { class: "side" });
+  const below = el("div", { class: "below" });
   page.body.replaceChildren(
     tour(page),
-    el("main", { class: "linked" }, element, el("div", { class: "side" }, steering.element, last.element, charts)),
-    el("div", { class: "below" }, ...rest.map((part) => part.element)),
+    el("main", { class: "linked" }, element, side),
+    below,
     el("footer", {}, el("p", {}, ...KEYS.flatMap(([key, text]) => [el("kbd", {}, key), ` ${text}   `])), el("p", {}, "Drawn by three.js and uPlot, both under the MIT licence.")),
   );
   document.documentElement.style.setProperty("--above", `${element.getBoundingClientRect().top + window.scrollY}px`);
-  page.charts = runCharts(run, theme).map((spec) => new Chart(spec, context));
+  scene?.draw(); // the hand first, then what stands around it
+  setTimeout(() => surround(page, context, side, below));
+}
+
+/** Add panels and plots. */
+function surround(page, context, side, below) {
+  const { source } = page;
+  page.parts = [controls(page), response(source), nodeList(source, page.act), breaks(source, page.act), assumptions(source), parameters(source, page.act)];
+  const [steering, last, ...rest] = page.parts;
+  const charts = el("div", { class: "plots" });
+  side.append(steering.element, last.element, charts);
+  below.append(...rest.map((part) => part.element));
+  page.charts = runCharts(source.run, page.theme).map((spec) => new Chart(spec, context));
   charts.append(...page.charts.map((chart) => chart.element));
-  for (const part of page.parts) part.update();
+  refresh(page, true);
 }
 
 /** Give the scene a spring for the mouse and handles for the goal. */

@@ -59,7 +59,6 @@ export function controls(page) {
     el("div", { class: "row" }, el("span", {}, "pull for 1 s"), newtons, el("span", { class: "chips" }, ...pulls)),
     el("div", { class: "row" }, el("span", {}, "keep"), last, el("span", { class: "chips" }, save, button("mark", () => act({ do: "mark", text: "a user's mark" })), report)),
   );
-  load(page, value, mode, element);
   save.hidden = last.hidden = !source.run.saves;
   const update = () => {
     report.hidden = !source.status.report;
@@ -68,7 +67,7 @@ export function controls(page) {
     for (const each of tilts) each.hidden = !Number.isFinite(rowOf(columns.palm, time.length - 1)[0]);
     value.force(rowOf(columns.grasp_force, time.length - 1)[0].toFixed(1));
   };
-  return { element, update };
+  return { element, update, load: () => load(page, value, mode, element) };
 }
 
 /** Show the values in force. */

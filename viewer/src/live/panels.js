@@ -60,11 +60,12 @@ export function breaks(source, act) {
   };
   const skin = source.run.fingers.map(({ name }) => choice(name.replaceAll("_", " "), source.run.faults, asked));
   choice("link of this tab", LINK_FAULTS, (select) => (source.fault = select.value));
-  source.ask({ do: "parameters", node: "tactile_sensor" }).then(({ ok, text }) => {
+  const load = async () => {
+    const { ok, text } = await source.ask({ do: "parameters", node: "tactile_sensor" });
     if (ok) inForce = JSON.parse(text).find((one) => one.name === "faults").value;
     show();
-  });
-  return { element, update: () => {} };
+  };
+  return { element, update: () => {}, load };
 }
 
 /** Make the list of assumptions with their margins now. */

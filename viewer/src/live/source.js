@@ -3,6 +3,7 @@
 
 const RETRY = 1000; // ms
 const LATE = 1000; // ms
+const PATIENCE = 5000; // ms
 const HEAD = 16; // bytes: epoch, rows, width, nothing
 
 /** Faults of the link from a tab to the hand, for `LiveSource.fault`. */
@@ -35,6 +36,7 @@ export class LiveSource {
     const sent = this.fault === "wrong" ? wrong(command) : command;
     if (this.fault === "late") setTimeout(() => this._send({ ...sent, id }), LATE);
     else this._send({ ...sent, id });
+    if (command.do !== "save") setTimeout(() => this._received({ reply: id, ok: false, text: "no answer within 5 s; is the node stopped?" }), PATIENCE);
     return new Promise((resolve) => this._waiting.set(id, resolve));
   }
 
@@ -58,7 +60,6 @@ export class LiveSource {
 
   _opened() {
     this.connected = true;
-    this.ready();
     this._changed("link");
   }
 

@@ -55,7 +55,7 @@ export class ContactModel {
 
 function makeCone() {
   const geometry = new THREE.ConeGeometry(1, 1, ROUND, 1, true).rotateX(Math.PI).translate(0, 0.5, 0);
-  const material = new THREE.MeshBasicMaterial({ transparent: true, opacity: 0.2, side: THREE.DoubleSide, depthWrite: false });
+  const material = new THREE.MeshBasicMaterial({ transparent: true, opacity: 0.2, side: THREE.DoubleSide, forceSinglePass: true, depthWrite: false });
   const mesh = new THREE.Mesh(geometry, material);
   mesh.renderOrder = 3;
   const around = Array.from({ length: ROUND }, (_, i) => [i, i + 1].flatMap((k) => {

@@ -58,17 +58,6 @@ export class Scene {
     this.scene.add(...this.painted.map((part) => part.group), this.goal, this.grasp, this.palm);
   }
 
-  /** Draw the path anew, of the rows that there are now. */
-  renewTrail() {
-    this.scene.remove(this.trail.group);
-    this.trail.dispose();
-    const renewed = new Trail(this.run.columns.auxiliary_position);
-    this.painted[this.painted.indexOf(this.trail)] = renewed;
-    this.trail = renewed;
-    this.trail.paint(this.theme);
-    this.scene.add(this.trail.group);
-  }
-
   _badges() {
     if (!this.hand) return [];
     this.hand.pose(rowOf(this.run.columns.theta, 0));
