@@ -124,7 +124,7 @@ class CommandGuard:
         self._bad: int | None = None  # last tick without a good command, ns
         self._patience = 0  # ns for which commands must be good to take over
         self.reason = ""
-        self.held = 0
+        self.held, self._held_at = 0, -1  # ticks; the last one
         self.holds: Counter[str] = Counter()
         self.age = -1
 
@@ -146,6 +146,7 @@ class CommandGuard:
         Joint angles, rad, and rates, rad/s, are those of the tick. The command is the newest one,
         None before the first. `refused` is why commands are refused now, such as a second sender.
         """
+        theta, rates = np.array(theta), np.array(rates)  # a driver may use its buffers again
         is_blind = not (np.isfinite(theta).all() and np.isfinite(rates).all())
         if is_blind and not self._past:
             self._note(stamp, BLIND)
@@ -198,7 +199,7 @@ class CommandGuard:
         A law gives another torque at another posture. The same command again, as when the next one
         is late, is checked by its age alone.
         """
-        before, self._newest = self._newest, command
+        before, self._newest = self._newest, command._replace(torque=command.torque.copy())
         if before is None or not np.array_equal(before.torque, command.torque):
             self._posture = theta.copy()
             return False
@@ -282,7 +283,8 @@ class CommandGuard:
         return np.asarray(np.minimum(np.maximum(torque, -limit), limit))
 
     def _note(self, stamp: int, reason: str) -> None:
-        self.held += stamp % self._tick == 0
+        before, self._held_at = self._held_at, stamp // self._tick
+        self.held += self._held_at != before
         if UNSTEADY not in (reason, self.reason):  # otherwise the last hold continues
             self.holds[reason] += reason != self.reason
         self.reason = reason

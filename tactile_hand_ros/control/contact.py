@@ -194,12 +194,7 @@ def in_palm(rotations: Array, forces: Array, scale: float) -> Array:
 @compiled
 def in_contacts(rotations: Array, forces: Array) -> Array:
     """Return forces of palm axes, shape (k, 3), in contact frames."""
-    out = np.empty_like(forces)
-    for i in range(len(forces)):
-        r, f = rotations[i], forces[i]
-        for j in range(3):
-            out[i, j] = r[0, j] * f[0] + r[1, j] * f[1] + r[2, j] * f[2]
-    return out
+    return in_palm(rotations.transpose(0, 2, 1), forces, 1.0)
 
 
 def known_part(forces: Array) -> Array:

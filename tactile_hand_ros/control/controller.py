@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import enum
 import math
+from collections import deque
 from typing import NamedTuple
 
 import numpy as np
@@ -50,7 +51,9 @@ _NOT_FINITE = "the law gives no finite torque; holding until its inputs are plau
 _LONGEST_GAP = 0.05  # s; after a longer pause a tick integrates and moves no more than this
 _SHORTEST_LEVER = 1e-6  # m, far below any hand's; keeps the linear system regular
 _MOVES_UNTIL = 0.8  # fraction of the limit of k_f at which a move stops, before the load grows
-_LONGEST_PERIOD = 0.01  # s between ticks, assumed before the second tick
+_FIRST_PERIOD = 0.01  # s between ticks, assumed before the second tick
+_INTERVALS = 9  # between ticks, of which the median is the period
+_NEW_PERIOD = 0.2  # relative change of the period for which gains are fitted again
 
 NO_POSES = (
     "the law 'grip' keeps its posture and moves no object, since normal forces do not show a load; "
@@ -122,7 +125,8 @@ class ControllerConfig(Config):
     grasp_force_limit: float = param(0.0, "largest k_f, 0 for any", unit="N", live=True, ge=0.0)
     input_timeout: float = param(
         0.5,
-        "silence of touch, f* or k_f, by the stamps of joint states, after which the hand holds",
+        "time without valid touch, f* or k_f, by the stamps of joint states, after which the hand "
+        "holds",
         unit="s",
         gt=0.0,
         le=60.0,
@@ -217,19 +221,24 @@ class Controller:
         self.enabled = True
         self.joints_held = False
         self._palm: Array | None = None  # rotation in the world by the imu
+        # Bandwidth that a hold needs per root of k_f, and its bandwidth, rad/s.
+        self._required: tuple[float, float] | None = None
         self.targets = TargetQueue(self.hand, NO_POSES if config.law.name == "grip" else "")
         self.reset()
 
     def configure(self, config: ControllerConfig) -> None:
         """Change the parameters while running; `hand` and `layout` stay."""
+        if config.hold.latency != self.config.hold.latency:
+            self._delay = TorqueDelay(config.hold.latency, self.hand.joints)
         self.config = config
         self._law.configure(config.law)
         self._fitted_to = (0.0, 0)  # fit gains again
+        self.warning, self._required = "", None
         if config.law.integral.time == 0.0:
             self._carried = self._none
 
     def reset(self) -> None:
-        """Forget everything, including that the fingers are open."""
+        """Forget what was measured and commanded, and that the fingers are open."""
         self._regrasp.finish()
         self.forget()
 
@@ -248,7 +257,8 @@ class Controller:
         self._sent = self._none  # at the last tick, N m
         self._last_torque: Array | None = None  # of the law, one tick ago
         self._last_stamp: int | None = None
-        self._period = _LONGEST_PERIOD  # of the ticks, s
+        self._intervals = deque[float](maxlen=_INTERVALS)  # s between the last ticks
+        self._period = _FIRST_PERIOD  # of the ticks, s
         self._accept_inputs()
 
     def _hold_with(self, touching: NDArray[np.bool_]) -> None:
@@ -264,8 +274,7 @@ class Controller:
         self.warning, self._fitted_to, self._fitted_fingers = "", (0.0, 0), 0
         self._keeps_posture, self._pressing = False, NormalForceControl()
         self._carried = np.zeros(self.hand.joints)  # by the integral of law `grip`, N m
-        # Bandwidth that a hold needs per root of k_f, and its bandwidth, rad/s.
-        self._required: tuple[float, float] | None = None
+        self._required = None
 
     def _accept_inputs(self) -> None:
         self.touch_rejected = np.zeros(self.hand.fingers, dtype=bool)
@@ -381,8 +390,9 @@ class Controller:
         problem = self._missing(contacts, now)
         if problem:
             self._inputs.start_grasp()
+            self._implausible_since = None
             return self._holding(theta, rates, problem, grasp_force, applied)
-        self._follow_touch(held)
+        self._follow_touch(held, theta)
         now, tips, problem = self._checked(now)
         if problem:
             return self._reject_inputs(stamp, theta, rates, problem, applied)
@@ -492,9 +502,11 @@ class Controller:
         ends = -min(limit, grasp_force), min(limit, crush - grasp_force)
         return self._pressing.step(grasp_force, *shown, *ends, passed, age)
 
-    def _follow_touch(self, touching: NDArray[np.bool_]) -> None:
+    def _follow_touch(self, touching: NDArray[np.bool_], theta: Array) -> None:
         """Hold with the fingers in a mask of shape (k,); the torque of the law does not jump."""
         if (touching != self._touching).any():
+            closed = self.hand.moves[touching & ~self._touching].any(axis=0)
+            self._posture = np.where(closed, theta, self._posture)  # where they touch again
             self._hold_with(touching)
             self._law.change_fingers()
             if self.config.law.name == "grip":
@@ -592,6 +604,8 @@ class Controller:
         """
         if stamp is not None:
             rates = self._rates.step(stamp, theta, rates, self.config.hold.resolution)
+        self.targets.start_tick(self._last_stamp)
+        self._implausible_since = None
         held = self._holding(theta, rates, reason, grasp_force, applied)
         return held._replace(do_not_send=self.joints_held)
 
@@ -608,7 +622,6 @@ class Controller:
         Before its first grasp a controller keeps the torque that acts on the joints. Another
         controller may have crashed with the object in the hand.
         """
-        self.targets.start_tick(self._last_stamp)
         if not self.enabled:
             return self._disabled(theta, rates)
         self._enter(Mode.HOLD, theta)
@@ -665,24 +678,30 @@ class Controller:
         """
         fingers, c, contacts = self._fingers.fingers, self.config, now.contacts
         if c.law.name == "grip":
-            if not self._keeps_posture or fingers != self._fitted_fingers:
-                self._keeps_posture, self._posture = True, now.theta.copy()
+            self._keep_posture(True, now.theta)
+            if fingers != self._fitted_fingers:
                 self._fitted_fingers = fingers
                 self._free = kept_contacts(self._fingers, now.theta, contacts)
             return
-        rate = self._period, self._delay.allowed
-        known = self._fitted_to == rate and fingers <= self._fitted_fingers
-        if self._law.fits or known:
+        period, delay = self._fitted_to
+        known = abs(self._period - period) <= _NEW_PERIOD * period and delay == self._delay.allowed
+        if self._law.fits or (known and fingers <= self._fitted_fingers):
             return
-        self._fitted_to, self._fitted_fingers = rate, fingers
+        self._fitted_to, self._fitted_fingers = (self._period, self._delay.allowed), fingers
         forces = contacts.centroid - contacts.positions  # of law (10), a guess for other laws
-        if c.law.name == "optimal":
+        if c.law.uses_optimal_forces:
             forces = in_palm(contacts.rotations, now.optimal_forces, 1.0)
         ages = c.touch_latency, c.law.observer.time
         how = forces, self._period, *ages, c.hold.resolution, self._delay.allowed
         self._law.fit(fitted_gains(self._fingers, now.theta, contacts, *how))
-        if motions_of_object(self._fingers, now.theta, contacts) < FEWEST_MOTIONS:
-            self._keeps_posture, self._posture = True, now.theta.copy()
+        motions = motions_of_object(self._fingers, now.theta, contacts)
+        self._keep_posture(motions < FEWEST_MOTIONS, now.theta)
+
+    def _keep_posture(self, keeps: bool, theta: Array) -> None:
+        """Keep the present posture, shape (m,), rad, unless one is kept already."""
+        if keeps and not self._keeps_posture:
+            self._posture = theta.copy()
+        self._keeps_posture = keeps
 
     def _judge_hold(self, now: _Tick) -> None:
         """Warn once per grasp if a hold could not keep it at this tick rate."""
@@ -717,8 +736,8 @@ class Controller:
         if self._implausible_since is None:
             self._implausible_since = stamp
         is_new = 1e-9 * (stamp - self._implausible_since) < self.config.input_timeout
-        held = self.hold(theta, rates, reason, applied=applied)
-        return held._replace(do_not_send=is_new or held.do_not_send)
+        held = self._holding(theta, rates, reason, applied=applied)
+        return held._replace(do_not_send=is_new or self.joints_held)
 
     def _disabled(self, theta: Array, rates: Array) -> Command:
         self._enter(Mode.DISABLED, theta)
@@ -761,7 +780,8 @@ class Controller:
         if before is None or stamp <= before:
             return 0.0
         passed = 1e-9 * (stamp - before)
-        self._period = min(self._period, passed)
+        self._intervals.append(passed)
+        self._period = sorted(self._intervals)[len(self._intervals) // 2]
         continues = self._mode is (Mode.OPEN if self._regrasp.active else Mode.DRIVE)
         return min(passed, _LONGEST_GAP) if continues else 0.0
 

@@ -60,15 +60,9 @@ def net_wrench(points: Array, rotations: Array, forces: Array) -> Array:
     """
     arms, out = centered(points), np.zeros(6)
     for i in range(len(points)):
-        x, y, z = rotations[i] @ forces[i]
-        a, b, c = arms[i]
-        p, q, r = cross((a, b, c), (x, y, z))
-        out[0] += x
-        out[1] += y
-        out[2] += z
-        out[3] += p
-        out[4] += q
-        out[5] += r
+        force = rotations[i] @ forces[i]
+        out[:3] += force
+        out[3:] += np.array(cross(arms[i], force))
     return out
 
 
@@ -90,12 +84,7 @@ def carried_along(
     for i in range(len(arms)):
         shift, spin, d = linear[i] @ moved, angular[i] @ moved, positions[i] - centers[i]
         shifted[i] = centers[i] + shift
-        x, y, z = cross((spin[0], spin[1], spin[2]), (d[0], d[1], d[2]))
-        x, y, z = shift[0] + x, shift[1] + y, shift[2] + z
-        x, y, z = cross((arms[i, 0], arms[i, 1], arms[i, 2]), (x, y, z))
-        turning[0] += x
-        turning[1] += y
-        turning[2] += z
+        turning += np.array(cross(arms[i], shift + np.array(cross(spin, d))))
     scatter = arms.T @ arms
     scatter += _LOOSE * np.trace(scatter) * np.eye(3)
     x, y, z = _solve_spread(scatter, turning)
@@ -179,8 +168,7 @@ def _margin(arms: Array) -> float:
         # l1 l2 of the scatter is three times the squared cross product of two arms, and l1 + l2 is
         # the sum of the squared arms.
         total = (arms * arms).sum()
-        (ax, ay, az), (bx, by, bz) = arms[0], arms[1]
-        nx, ny, nz = cross((ax, ay, az), (bx, by, bz))
+        nx, ny, nz = cross(arms[0], arms[1])
         product = 3.0 * (nx * nx + ny * ny + nz * nz)
         largest = 0.5 * (total + math.sqrt(max(total * total - 4.0 * product, 0.0)))
         return math.sqrt(product) / largest if largest > 0.0 else 0.0
@@ -260,10 +248,6 @@ class VirtualFrame:
         self._up = np.array([0.0, 0.0, 1.0])  # the last r_z of two contacts
         self._start: tuple[Array, Array] | None = None
 
-    def reset(self) -> None:
-        """Forget the grasp: the next call starts a new one."""
-        self.__init__()  # type: ignore[misc]
-
     def orientation(self, points: Array) -> Array:
         """Return R_pov = [r_x r_y r_z], (3, 3), of contact points, (k, 3), m, in the palm frame.
 
@@ -289,9 +273,8 @@ class VirtualFrame:
         return np.column_stack([along, -frame[:, 0], self._up])
 
     def _plane_frame(self, points: Array) -> Array:
-        frame, margin = _frame_of_plane(points)
-        if margin < MIN_COLLINEARITY_MARGIN:
-            raise CollinearContactsError.of(points)
+        check_spread(points)
+        frame = _frame_of_plane(points)
         if self._side == 0.0:
             self._side = -1.0 if frame[2, 2] < 0.0 else 1.0
         return frame if self._side > 0.0 else frame * _OTHER_SIDE
@@ -317,24 +300,13 @@ def pose_error(position: Array, actual: Array, wanted: Array, desired: Array) ->
     out = np.zeros(6)
     out[:3] = wanted - position
     for axis in range(3):
-        a, b, c = actual[:, axis]
-        x, y, z = desired[:, axis]
-        p, q, r = cross((a, b, c), (x, y, z))
-        out[3] += p
-        out[4] += q
-        out[5] += r
+        out[3:] += np.array(cross(actual[:, axis], desired[:, axis]))
     return out
 
 
 @compiled
-def _frame_of_plane(points: Array) -> tuple[Array, float]:
-    """Return [r_x r_y r_z] of the plane of three points and their collinearity margin.
-
-    r_z is along (p_1 - p_2) x (p_1 - p_3); points on a line have no frame.
-    """
-    margin = collinearity_margin(points)
-    if margin < MIN_COLLINEARITY_MARGIN:
-        return np.full((3, 3), np.nan), margin
+def _frame_of_plane(points: Array) -> Array:
+    """Return [r_x r_y r_z] of three points; r_z is along (p_1 - p_2) x (p_1 - p_3)."""
     a, b, c = points[0] - points[1]
     d, e, f = points[0] - points[2]
     length = math.sqrt(a * a + b * b + c * c)
@@ -343,7 +315,7 @@ def _frame_of_plane(points: Array) -> tuple[Array, float]:
     length = math.sqrt(u * u + v * v + w * w)
     z0, z1, z2 = u / length, v / length, w / length
     y0, y1, y2 = cross((z0, z1, z2), (x0, x1, x2))
-    return np.array([[x0, y0, z0], [x1, y1, z1], [x2, y2, z2]]), margin
+    return np.array([[x0, y0, z0], [x1, y1, z1], [x2, y2, z2]])
 
 
 @compiled

@@ -103,7 +103,8 @@ def required_bandwidth(
         stiffness[:, i] = motions.T @ missing
     joints = motions[:m]
     inertia = joints.T @ hand.dynamics(theta, np.zeros(m)).inertia @ joints
-    return math.sqrt(_MARGIN * max(0.0, -_minimum_ratio(0.5 * (stiffness + stiffness.T), inertia)))
+    softest = _ratios(0.5 * (stiffness + stiffness.T), inertia)[0].min(initial=np.inf)
+    return math.sqrt(_MARGIN * max(0.0, -softest))
 
 
 def fitted_gains(
@@ -177,7 +178,7 @@ def largest_damping(
     joints, twists = np.split(_motions(hand, hand.fingertips(theta), contacts), [hand.joints])
     inertia = joints.T @ hand.dynamics(theta, np.zeros(hand.joints)).inertia @ joints
     inertia += twists.T @ body @ twists
-    return 2.0 * _minimum_ratio(inertia, joints.T @ joints) / tick
+    return float(2.0 * _ratios(inertia, joints.T @ joints)[0].min(initial=np.inf) / tick)
 
 
 def largest_stiffness(
@@ -230,16 +231,6 @@ def _kernel(matrix: Array) -> Array:
     _, sizes, basis = np.linalg.svd(matrix)
     rank = int((sizes > _INDEPENDENT * sizes.max(initial=0.0)).sum())
     return np.asarray(basis[rank:].T)
-
-
-def _minimum_ratio(a: Array, b: Array) -> float:
-    """Return the minimum of x^T a x / x^T b x, both symmetric and b positive, shape (n, n).
-
-    It is infinite where there is nothing to move, n = 0.
-    """
-    if not len(b):
-        return math.inf
-    return float(_ratios(a, b)[0][0])
 
 
 def _ratios(a: Array, b: Array) -> tuple[Array, Array]:

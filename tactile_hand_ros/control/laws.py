@@ -87,7 +87,8 @@ class LawConfig(Config):
     @property
     def uses_optimal_forces(self) -> bool:
         """Whether it presses by f*, so that three touching fingers are enough."""
-        return self.name in ("optimal", "grip")
+        factory = LAWS.get(self.name) or OWN_LAWS.get((self.name, self.folder))
+        return isinstance(factory, type) and issubclass(factory, OptimalLaw)
 
 
 class AuxiliaryPose(NamedTuple):
@@ -242,7 +243,8 @@ class LawInput(NamedTuple):
 class Law(Protocol):
     """Interface of a law; it is built once for a configuration.
 
-    A law of your own may derive from one of the three, such as (14) with twice the internal force:
+    A law of your own may derive from one of this module, such as (14) with twice the internal
+    force:
 
     >>> class Firm(OptimalLaw):
     ...     def internal_torque(self):
@@ -269,7 +271,7 @@ LawFactory = Callable[[LawConfig, Array], Law]
 
 
 class ManipulationLaw:
-    """Virtual frame, integral action and load observer around one of the three laws.
+    """Virtual frame, integral action and load observer around one of the laws.
 
     Attributes:
         acts: Whether its torques reach the joints; otherwise the integral waits.
@@ -305,7 +307,7 @@ class ManipulationLaw:
         if not self._integrates:
             self.integral[:] = 0.0
         if config.observer.time == 0.0:
-            self._observer.reset()
+            self._observer = LoadObserver()
 
     def fit(self, gains: FittedGains) -> None:
         """Use fitted gains where none are given."""
@@ -313,9 +315,9 @@ class ManipulationLaw:
 
     def reset(self) -> None:
         """Forget the grasp and the integral."""
-        self._frame.reset()
+        self._frame = VirtualFrame()
         self.integral[:] = 0.0
-        self._observer.reset()
+        self._observer = LoadObserver()
         self._pose, self._offset, self._changed = None, None, False
 
     def change_fingers(self) -> None:
@@ -332,7 +334,7 @@ class ManipulationLaw:
         """
         points = tips.positions if self.config.name == "kawamura" else contacts.positions
         if self._changed:
-            self._frame.reset()
+            self._frame = VirtualFrame()
         position, frame = centroid(points), self._frame.orientation(points)
         if self._changed and self._pose is not None:
             before = self._pose

@@ -47,11 +47,7 @@ def split(points: Array, normals: Array, forces: Array) -> Split:
     arms, wrench = centered(points), np.zeros(6)
     for i in range(len(forces)):
         wrench[:3] += forces[i]
-        (a, b, c), (x, y, z) = arms[i], forces[i]
-        p, q, r = cross((a, b, c), (x, y, z))
-        wrench[3] += p
-        wrench[4] += q
-        wrench[5] += r
+        wrench[3:] += np.array(cross(arms[i], forces[i]))
     load, margin = spread_wrench(points, wrench)
     internal, total = forces - load, 0.0
     for i in range(len(forces)):
@@ -155,10 +151,6 @@ class LoadObserver:
 
     def __init__(self) -> None:
         """Start without a load."""
-        self.reset()
-
-    def reset(self) -> None:
-        """Forget the load."""
         self.wrench = np.zeros(6)
 
     def step(

@@ -57,6 +57,7 @@ class JointRates:
         rad, is 0.
         """
         if error == 0.0:
+            self.error[:] = 0.0
             return rates
         time, before = 1e-9 * stamp, self._times[(self._count - 1) % _WINDOW]
         if self._count and time <= before:  # the same tick again, or a restart

@@ -13,7 +13,7 @@ from pydantic import field_validator
 
 from tactile_hand_ros.compiled import Array, Row, Rows, compiled, row_of
 from tactile_hand_ros.config.model import Config, param
-from tactile_hand_ros.control.contact import Contacts, contact_frame, in_palm
+from tactile_hand_ros.control.contact import Contacts, contact_frame, in_contacts, in_palm
 from tactile_hand_ros.errors import ConfigurationError
 from tactile_hand_ros.rotations import (
     Vector,
@@ -339,7 +339,7 @@ def _measured(
         if is_displaced:
             _displace(memory, c, radii, positions, quaternions, noise[0], elapsed)
         seen = rows_of_quaternions(quaternions).reshape(-1, 3, 3)
-        measured = in_palm(seen.transpose(0, 2, 1), measured, 1.0)
+        measured = in_contacts(seen, measured)
     for i in range(len(radii)):
         touches = math.isfinite(positions[i, 0])
         for axis in range(3):

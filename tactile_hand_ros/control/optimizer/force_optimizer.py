@@ -49,7 +49,8 @@ class ForceOptimizerConfig(Config):
     hand: str = param("paper", "hand by name or YAML file")
     weights: list[float] = param(
         [10.0, 1.0, 10.0],
-        "diagonal of W for (f_x, f_n, f_z), three values for all contacts or three per contact",
+        "diagonal of W for (f_x, f_n, f_z), three values for all contacts or three per contact; "
+        "with cones, x and z turn with the grasp",
         live=True,
         min_length=3,
     )

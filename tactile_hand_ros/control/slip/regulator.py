@@ -65,16 +65,16 @@ class SlipRegulator:
 
     The user's grasp force moves at the rise or fall rate. The required one is the minimum that
     keeps every contact inside its cone, with a margin, from the load in the measured forces and the
-    learned friction. It rises immediately, falls slowly, and rises to the limit during a slip. A
-    lost contact counts as one without force, so that the load that has removed it counts.
+    learned friction. It rises immediately, falls slowly, and doubles again and again during a slip.
+    A lost contact counts as one without force, so that the load that has removed it counts.
 
     Rejected touch is ignored. While a guard holds the joints, which shakes the grasp and which no
     k_f reaches, the required grasp force follows the load, but nothing is learned of slips. What
     was learned of the friction shortly before either of both is forgotten.
 
-    A skin that measures normal forces only shows neither load nor friction. The required grasp
-    force is then unknown, and outside mode `user` k_f is the user's, raised by each slip until the
-    next request.
+    A skin that measures normal forces only, at one finger or at all, shows neither load nor
+    friction. The required grasp force is then unknown, and outside mode `user` k_f is the user's,
+    raised by each slip until the next request.
 
     Attributes:
         grasp_force: k_f, N.
@@ -203,6 +203,8 @@ class SlipRegulator:
         self._follow_user(dt)
         if contacts is not None and forces is not None:
             self._follow_touch(stamp, contacts, forces, dt)
+        else:
+            self.needed = self.ready = math.nan
         c = self.config
         goal = self._asked
         if c.mode != "user":
@@ -228,9 +230,8 @@ class SlipRegulator:
             contacts = contacts.without(self._rejected)
         touching, normals = contacts.touching, contacts.normals
         unknown = np.isnan(measured[:, ::2])
-        if unknown.all():
-            self._follow_normals(contacts, measured[:, 1], dt)
-        if unknown.any():  # of some fingers only: as a tick without touch
+        if unknown.any():
+            self._follow_normals(contacts, measured, dt)
             return
         # A sensor that is slower than the loop repeats its samples.
         fresh, self._last = (measured != self._last).any(axis=1), measured.copy()
@@ -258,12 +259,13 @@ class SlipRegulator:
         known = touching | (grasped and parts is not None)  # the others hold without it
         self._response.step(goal, slips, slides, known, limit, dt)
 
-    def _follow_normals(self, contacts: Contacts, normal: Array, dt: float) -> None:
-        """Update slip and the reflex from normal forces, shape (k,), N.
+    def _follow_normals(self, contacts: Contacts, measured: Array, dt: float) -> None:
+        """Update slip and the reflex from normal forces; measured are (k, 3), N, in part NaN.
 
-        They show a change of k_f like a slip, so nothing is tested while k_f changes.
+        They show a change of k_f like a slip, so nothing is tested while k_f changes. Where others
+        measure three axes, they may only fail for a while, and k_f does not fall.
         """
-        touching, c = contacts.touching, self.config
+        touching, c, normal = contacts.touching, self.config, measured[:, 1]
         fresh, self._last[:, 1] = normal != self._last[:, 1], normal
         is_known = touching & self._steady & (not (all(self._rejected) or self._held))
         forces, axes = np.zeros((2, self._fingers, 3))
@@ -276,6 +278,8 @@ class SlipRegulator:
         if (state == ContactState.SLIP).any():
             self._raised = min(c.reflex.first_rise * self.grasp_force, c.maximum)
         goal = max(self._raised, self._asked)
+        if not np.isnan(measured[:, ::2]).all():
+            goal = max(goal, self._response.grasp_force)
         self._response.step(goal, False, False, touching, c.maximum, dt)
 
     def _update_need(

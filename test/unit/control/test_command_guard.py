@@ -334,3 +334,22 @@ def test_what_the_contacts_press_with_follows_from_the_last_ticks():
     pressed = torques[3:6].mean(axis=0) - inertia @ (rates[6] - rates[3]) / 0.006 - weight
     held = step(made, 6, rates=rates[6])  # braking starts without a torque of its own
     np.testing.assert_allclose(held, pressed + weight, rtol=1e-12)
+
+
+def test_a_driver_may_use_its_buffers_again():
+    made, torque, theta = guard(), TORQUE.copy(), THETA.copy()
+    for tick in range(20):
+        torque += 1e-3
+        theta += 5e-4
+        made.step(tick * TICK, theta, STILL, TorqueCommand(tick * TICK, torque))
+        assert not made.reason
+    theta[4] = np.nan
+    assert np.isfinite(made.step(20 * TICK, theta, STILL, None)).all()
+    assert made.reason == command_guard.BLIND
+
+
+def test_held_ticks_are_counted_once_whatever_their_stamps():
+    made = CommandGuard(GuardConfig(), HAND, TICK, TICK // 4)
+    for steps in range(20):
+        made.step(1_700_000_000_123_456_789 + steps * TICK // 4, THETA, STILL, None)
+    assert made.held in (5, 6)

@@ -11,7 +11,7 @@ from support.grasps import FORCES, moved
 from tactile_hand_ros.control.contact import Contacts
 from tactile_hand_ros.control.controller import ControllerConfig, Mode
 from tactile_hand_ros.control.grasp import carried_along
-from tactile_hand_ros.control.laws import Target
+from tactile_hand_ros.control.laws import OWN_LAWS, OptimalLaw, Target
 from tactile_hand_ros.control.targets import MAX_WAITING
 from tactile_hand_ros.errors import GraspError, PoseError
 from tactile_hand_ros.rotations import rotation_from_quaternion, rotation_from_vector
@@ -120,6 +120,14 @@ def test_a_law_without_a_finite_torque_gives_the_hold(bench):
     command = bench.step(rates=np.full(9, np.inf))
     assert command.mode is Mode.HOLD and "no finite torque" in command.reason
     np.testing.assert_allclose(bench.step().torque, good.torque, atol=1e-9)
+
+
+def test_a_target_counts_also_if_the_law_fails_at_its_tick(bench):
+    bench.step()
+    bench.controller.targets.command(bench.target(0.01, 0.0, 0.0))
+    assert bench.step(rates=np.full(9, np.inf)).mode is Mode.HOLD
+    np.testing.assert_allclose(bench.shift, [0.01, 0.0, 0.0], atol=1e-12)
+    assert bench.controller.targets.accepted is bench.controller.targets.target
 
 
 def test_a_target_out_of_reach_is_refused_at_once_and_the_last_stays(bench):
@@ -599,6 +607,62 @@ def test_touch_is_rejected_while_it_does_not_fit_the_joints(bench):
         assert (bench.controller.touch_rejected == rejected).all()
     assert bench.step(optimal_forces=2.0 * bench.optimal).do_not_send
     assert not bench.controller.touch_rejected.any()  # touch may be right all the same
+
+
+def test_an_input_that_is_implausible_again_is_withheld_for_its_whole_time():
+    bench = Bench(input_timeout=0.1)
+    wrong = {"optimal_forces": 2.0 * bench.optimal}
+    bench.step()
+    assert bench.step(50, **wrong).do_not_send and not bench.step(**wrong).do_not_send
+    assert not bench.step(optimal_forces=np.full((3, 3), np.nan)).do_not_send
+    assert bench.step(50, **wrong).do_not_send and not bench.step(**wrong).do_not_send
+    bench.controller.hold(bench.theta, REST, "silence")
+    assert bench.step(**wrong).do_not_send
+
+
+def test_a_law_derived_from_14_is_checked_as_that(monkeypatch):
+    monkeypatch.setitem(OWN_LAWS, ("mine:Firm", ""), type("Firm", (OptimalLaw,), {}))
+    bench = Bench(law__name="mine:Firm")
+    assert bench.step().mode is Mode.DRIVE
+    command = bench.step(optimal_forces=5.0 * bench.optimal)
+    assert command.mode is Mode.HOLD and "f*" in command.reason
+
+
+def held_torque(*intervals, **values):
+    """Return the torque by which a hold opposes a displacement, after ticks, ms apart."""
+    bench = Bench(**values)
+    for interval in (2.0, *intervals):
+        bench.step()
+        bench.stamp += round(1e6 * interval) - TICK
+    still = bench.controller.hold(bench.theta, REST, "silence").torque
+    moved = bench.theta + np.linspace(0.0, 0.01, 9)
+    return bench.controller.hold(moved, REST, "silence").torque - still
+
+
+def test_the_hold_is_as_stiff_as_the_median_of_the_tick_periods_allows():
+    exact = held_torque(*[2.0] * 20)
+    jitter = 2.0 + 0.15 * np.random.default_rng(3).standard_normal(60)
+    away = np.linalg.norm(held_torque(*jitter) - exact)
+    np.testing.assert_array_equal(held_torque(*[2.0] * 9, 0.2, 2.0), exact)
+    assert away < 0.25 * np.linalg.norm(exact)
+    assert np.linalg.norm(held_torque(*[20.0] * 20)) < 0.1 * np.linalg.norm(exact)
+
+
+def test_the_present_latency_and_limits_count():
+    fitted = {f"law__{name}": 0.0 for name in ("k_p", "k_o", "damping")}
+    late, changed = Bench(hold__latency=10, **fitted), Bench(**fitted)
+    config = changed.controller.config
+    changed.step(5)
+    changed.controller.configure(config.changed({"hold.latency": 10}))
+    late.step(5)
+    moving = {"rates": np.linspace(0.01, 0.05, 9)}
+    np.testing.assert_array_equal(changed.step(**moving).torque, late.step(**moving).torque)
+    slow = Bench(hold__latency=100)
+    slow.step(3)
+    assert "would buckle" in slow.controller.warning
+    slow.controller.configure(slow.controller.config.changed({"hold.latency": 0}))
+    slow.step(grasp_force=0.1)
+    assert slow.controller.warning == ""
 
 
 @pytest.mark.parametrize("end", ["open", "disabled"])

@@ -8,6 +8,7 @@ from support.grasps import contacts_at
 from support.hands import prism_grasp
 
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
+from tactile_hand_ros.closed_loop.record import Record
 from tactile_hand_ros.control.grasp import VirtualFrame, grasp_map, wrench_forces
 from tactile_hand_ros.control.holds import (
     fitted_gains,
@@ -70,8 +71,7 @@ def test_the_frame_of_two_contacts_turns_with_their_line_and_not_about_it():
     assert_allclose(now[:, 0], turn @ along, atol=1e-12)
     assert_allclose(now.T @ now, np.eye(3), atol=1e-12)
     assert np.linalg.det(now) == pytest.approx(1.0)
-    frame.reset()
-    assert_allclose(frame.orientation(POINTS), start)
+    assert_allclose(VirtualFrame().orientation(POINTS), start)
 
 
 def few_joints(tmp_path):
@@ -92,6 +92,21 @@ def test_two_joint_fingers_hold_and_refuse_moves_that_they_cannot_make(tmp_path)
     turned = rotation_from_vector(np.array([0.0, 0.0, 0.2])) @ pose.orientation
     with pytest.raises(PoseError):
         loop.controller.targets.command(pose._replace(orientation=turned))
+
+
+def test_the_same_parameters_again_move_nothing(tmp_path, monkeypatch):
+    """Also where the hand keeps its posture, for want of directions in which it moves the object."""
+    monkeypatch.setattr("tactile_hand_ros.control.controller.FEWEST_MOTIONS", 4)
+    found = []
+    for again in (False, True):
+        loop = ClosedLoop(few_joints(tmp_path))
+        record = Record.empty(100, loop.plant.hand.finger_names, loop.plant.hand.joint_names)
+        for row in range(100):
+            loop.tick(record, row)
+            if again:
+                loop.controller.configure(loop.controller.config)
+        found.append(record.theta)
+    np.testing.assert_array_equal(*found)
 
 
 def test_gains_fit_motions_that_exist_only(tmp_path):

@@ -221,3 +221,28 @@ def test_closing_fingers_search_until_they_touch_or_have_gone_all_the_way(tmp_pa
     for _ in range(11):  # 22 mm
         fingers.posture(fewer, 0.1)
     assert not fingers.searches(fewer)
+
+
+def test_a_finger_that_returns_leaves_the_others_their_posture(tmp_path):
+    law = {"name": "grip", "integral": {"k_p": 0.0, "k_o": 0.0}, "observer": {"time": 0.0}}
+    changes = {f"manipulation_controller.law.{name}": value for name, value in law.items()}
+    changes |= {"tactile_sensor.axes": "normal", "slip_regulator.mode": "user"}
+    changes |= {"force_optimizer.cones": False, "plant.encoder.bits": 0}
+    loop = ClosedLoop(scenario_of(tmp_path, 4, 0.1, changes))
+    theta, contacts = loop.state.theta, loop.state.contacts
+
+    def step(tick, away, contacts):
+        optimal = loop.optimizer.step(tick, contacts).forces
+        forces = np.full((4, 3), np.nan)
+        forces[:, 1] = 10.0 * optimal[:, 1]
+        seen = tick * 1_000_000, theta + away, np.zeros(12), contacts, optimal, 10.0, forces
+        return loop.controller.step(*seen).torque
+
+    away = np.linspace(-0.004, 0.004, 12)
+    still = step(0, 0.0, contacts), step(1, 0.0, contacts)
+    before = step(2, away, contacts) - still[1]
+    step(3, away, without_first(loop))
+    after, of_first = step(4, away, contacts) - still[1], loop.controller.hand.moves[0]
+    # The contacts count as newly measured, which turns the internal forces a little.
+    np.testing.assert_allclose(after[~of_first], before[~of_first], atol=0.02)
+    assert np.abs(after[of_first]).max() < 0.02 * np.abs(before[of_first]).max()

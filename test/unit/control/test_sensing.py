@@ -140,6 +140,15 @@ def test_exact_angles_and_a_first_tick_leave_the_measured_rates():
     assert made.step(2 * TICK, np.zeros(2), measured, STEP) is measured
 
 
+def test_exact_angles_have_exact_rates_also_after_coarse_ones():
+    made, measured = JointRates(2), np.array([1.0, -2.0])
+    for tick in range(5):
+        made.step(tick * TICK, tick * measured, measured, STEP)
+    assert (made.error > 0.0).all()
+    np.testing.assert_array_equal(made.step(5 * TICK, 5 * measured, measured, 0.0), measured)
+    np.testing.assert_array_equal(made.error, 0.0)
+
+
 def test_a_repeated_tick_changes_nothing_and_an_earlier_one_starts_over():
     made, measured = JointRates(1), np.array([7.0])
     for i in range(10):

@@ -504,7 +504,28 @@ def test_the_next_object_is_pressed_as_the_user_asks():
     assert normal_run(slip, 1041, 2000)[-1] == pytest.approx(8.0)
 
 
-def test_unknown_components_of_some_fingers_are_like_a_tick_without_touch():
+def test_without_touch_the_required_grasp_force_is_unknown():
+    slip = regulator(mode="auto")
+    run(slip, 500)
+    assert np.isfinite((slip.needed, slip.ready)).all()
+    slip.step(500 * TICK)
+    assert np.isnan((slip.needed, slip.ready)).all()
+
+
+@pytest.mark.parametrize("bare", [[1], [0, 2], [0, 1, 2]])
+def test_a_slip_is_seen_also_where_some_fingers_measure_normal_forces_only(bare):
+    slip = regulator(mode="auto", grasp_force=8.0)
+    random = np.random.default_rng(0)
+    for i in range(1040):
+        noise = 0.15 if i > 1000 else 0.005
+        forces = FORCES + np.array([0.0, noise, 0.0]) * random.standard_normal((3, 1))
+        forces[bare, ::2] = np.nan
+        slip.step(i * 1_000_000, three_faces(), forces)
+        assert i > 1000 or slip.grasp_force == 8.0
+    assert slip.grasp_force == 16.0
+
+
+def test_where_some_fingers_fail_to_measure_three_axes_the_grasp_force_does_not_fall():
     slip = regulator(mode="auto")
     run(slip, 500)
     before = slip.grasp_force
