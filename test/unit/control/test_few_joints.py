@@ -78,7 +78,8 @@ def few_joints(tmp_path):
     """A scenario in which a hand of two joints a finger holds a prism between its tips."""
     gains = {f"manipulation_controller.law.{name}": 0.0 for name in ("k_p", "k_o", "damping")}
     body = {"plant.object.inertia": [], "plant.object.mass": 0.3, "plant.object.friction": 1.0}
-    changes = {**gains, **body, "targets": [], "duration": 0.5}
+    pull = {"kind": "step", "start": 0.02, "force": [0.2, 0.1, -0.5]}
+    changes = {**gains, **body, "targets": [], "duration": 0.5, "plant.disturbances": [pull]}
     return load_scenario("paper", prism_grasp(tmp_path, [2, 2, 2]) | changes)
 
 
@@ -95,7 +96,7 @@ def test_two_joint_fingers_hold_and_refuse_moves_that_they_cannot_make(tmp_path)
 
 
 def test_the_same_parameters_again_move_nothing(tmp_path, monkeypatch):
-    """Also where the hand keeps its posture, for want of directions in which it moves the object."""
+    """Also where the hand keeps its posture, since its joints move the object in few directions."""
     monkeypatch.setattr("tactile_hand_ros.control.controller.FEWEST_MOTIONS", 4)
     found = []
     for again in (False, True):
