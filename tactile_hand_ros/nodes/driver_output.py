@@ -84,8 +84,9 @@ class DriverOutputNode(TactileNode[DriverOutputConfig]):
             raise MessageError("no joint_states yet, expected them before any command.")
         if abs(age) > limit * self._tick:  # below 0 if joint states are late
             raise MessageError(
-                f"the command is {1e-6 * age:.3f} ms older than the newest joint_states, expected "
-                f"at most {limit} ticks older or newer; check stamps, rate and the computer's load."
+                f"the command is {1e-6 * abs(age):.3f} ms {'older' if age > 0 else 'newer'} than "
+                f"the newest joint_states, expected at most {limit} ticks older or newer; check "
+                "stamps, rate and the computer's load."
             )
         with self.answering():
             self._publisher.publish(self._encode(stamp, self._law.step(self._theta, torque)))
@@ -110,7 +111,8 @@ def driver_message(driver: DriverConfig, joints: Sequence[str]) -> tuple[Any, En
     if driver.message == "joint_state":
         field = "effort" if driver.output == "current" else driver.output
         return JointState, JointCodec(joints, (field,)).encode
-    name = driver.message.replace("float64_array", "std_msgs/msg/Float64MultiArray")
+    is_plain = driver.message == "float64_array"
+    name = "std_msgs/msg/Float64MultiArray" if is_plain else driver.message
     kind = message_class(name)
     message: Any = kind()
     holder, (*parents, last) = message, driver.field.split(".")

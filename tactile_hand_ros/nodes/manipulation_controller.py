@@ -149,7 +149,8 @@ class ManipulationControllerNode(TactileNode[ControllerConfig]):
         self._rehearse()
         self._report = ControllerReport(self, self._controller.hand)
         self._tick: int | None = None
-        self._time_waits, self._is_unsent, self._is_limited = time_waits, False, False
+        self._always_waits = self._time_waits = time_waits
+        self._is_unsent = self._is_limited = False
         self._answer: tuple[int, Command] | None = None
         self._changes = AppliedChanges(self, names.CONTROLLER, commands=True)
         self._changes.begin(self.config)
@@ -165,8 +166,9 @@ class ManipulationControllerNode(TactileNode[ControllerConfig]):
         self._rejection = self.create_publisher(String, names.TOUCH_REJECTED, qos.latched_qos())
         self._rejection.publish(String())
         self._rejected = np.zeros(self.hand.fingers, dtype=bool)
-        c = self.config  # with an imu, so that the inputs keep their order
+        c = self.config
         is_grip = c.law.name == "grip"
+        # The IMU is the last input of `on_tick`, after the forces, so it needs them too.
         self._takes_forces = composed or c.law.observer.time > 0.0 or c.imu or is_grip
         self.create_service(Trigger, names.RESET, self._on_reset)
         self.create_service(SetBool, names.ENABLE, self._on_enable)
@@ -361,7 +363,7 @@ class ManipulationControllerNode(TactileNode[ControllerConfig]):
 
     def on_repeat(self) -> None:
         """Publish the last answer again, or the unsent one: in lockstep, time waits for it."""
-        self._time_waits = self._is_unsent
+        self._time_waits = self._always_waits or self._is_unsent
         if self._answer is not None:
             stamp, command = self._answer
             self._command_publisher.publish(stamp, command.torque)

@@ -23,7 +23,7 @@ from tactile_hand_ros.ros.messages import stamp_from_ns
 from tactile_hand_ros.ros.node import TactileNode
 from tactile_hand_ros.ros.parameters import to_parameters
 
-_REJECTION_LIMIT = 10  # between two ticks
+_REJECTION_LIMIT = 10  # published rejections between two answered ticks
 
 MessageAt = Callable[[int], Any]
 """Makes a message, or its bytes, for a tick [ns]."""
@@ -90,8 +90,10 @@ class AppliedChanges:
 
     def rejected(self, topic: str, reason: str) -> None:
         """Publish immediately that a user command, a relative topic, was rejected."""
+        if topic not in names.USER_COMMANDS:
+            return
         self._rejections += 1
-        if topic in names.USER_COMMANDS and self._rejections <= _REJECTION_LIMIT:
+        if self._rejections <= _REJECTION_LIMIT:
             level = DiagnosticStatus.WARN
             self._rejected.publish(self._about(self._answered, reason, topic, reason, level))
 

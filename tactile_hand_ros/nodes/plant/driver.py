@@ -180,11 +180,11 @@ class PlantDriver:
         """Advance one tick and pause; return whether that was possible."""
         if self._is_on or self._is_finished:
             return False
-        self._is_single = True
-        return self.switch(True)
+        return self.switch(True, single=True)
 
-    def switch(self, is_on: bool) -> bool:
-        """Continue or pause; return whether that was possible."""
+    def switch(self, is_on: bool, *, single: bool = False) -> bool:
+        """Continue, for one tick if `single`, or pause; return whether that was possible."""
+        self._is_single = single
         if is_on != self._is_on:
             self._is_on = is_on
             if not self._is_finished:
@@ -194,7 +194,8 @@ class PlantDriver:
     def reset(self) -> None:
         """Go back to the start."""
         self._run.reset()
-        self._is_finished = False
+        self._is_on = self._is_on and not self._is_single  # a step ends in a pause
+        self._is_finished = self._is_single = False
         self._newest_answer = -1
         if self.hand is not None:
             self.hand.on_restart()

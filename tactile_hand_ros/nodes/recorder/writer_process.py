@@ -68,7 +68,8 @@ class WriterProcess:
         assert self.process.stdin is not None and self.process.stdout is not None
         self._replies = self.process.stdout
         self._pipe = self.process.stdin.fileno()
-        fcntl.fcntl(self._pipe, fcntl.F_SETPIPE_SZ, _PIPE_SIZE)
+        with contextlib.suppress(OSError):  # a smaller pipe only makes more messages wait here
+            fcntl.fcntl(self._pipe, fcntl.F_SETPIPE_SZ, _PIPE_SIZE)
         os.set_blocking(self._pipe, False)
         self._messages: list[Message] = []
         self._waiting = bytearray()

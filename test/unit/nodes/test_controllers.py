@@ -166,6 +166,7 @@ def test_what_a_user_asks_in_vain_is_answered_with_the_last_tick_and_no_flood(he
     node.reject(names.CONTACTS, "no command of a user")
     tick(node, TICK)
     for number in range(12):
+        node.reject(names.CONTACTS, "no command of a user")
         node.reject(names.USER_GRASP_FORCE, str(number))
     here.messages(topic, 10)
     tick(node, 2 * TICK)
@@ -331,7 +332,9 @@ def test_where_time_is_known_to_wait_every_answer_is_sent(here):
     for stamp in range(4):
         changes = {"contacts": ODD} if stamp == 3 else {}
         assert not tick(node, stamp * TICK, **changes).do_not_send
-    assert len(sent["joint_command"]) == 4
+    node.on_repeat()  # as after a pause
+    assert not tick(node, 4 * TICK, contacts=ODD).do_not_send
+    assert len(sent["joint_command"]) == 6
 
 
 def test_where_a_guard_holds_the_joints_a_blind_tick_is_not_answered(here):

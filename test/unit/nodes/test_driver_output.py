@@ -95,6 +95,8 @@ def test_a_vendor_type_is_filled_where_it_is_installed(monkeypatch: pytest.Monke
     vendor = DriverConfig(message=DIGITS, field="hand.data")
     with pytest.raises(TactileHandError, match=f"'{DIGITS}' is not installed; install or source"):
         driver_message(vendor, JOINTS)
+    with pytest.raises(TactileHandError, match="'my_float64_array/msg/Digits' is not installed"):
+        driver_message(DriverConfig(message="my_float64_array/msg/Digits"), JOINTS)
     with pytest.raises(ConfigurationError, match="a float array of std_msgs.*has layout, data"):
         driver_message(DriverConfig(message=FLOATS, field="layout.data_offset"), JOINTS)
     blank = STORE.types[DIGITS](reply_mode=0, data=np.zeros(0))
@@ -120,6 +122,7 @@ def test_unusable_commands_are_counted_and_never_sent(here: Process, tmp_path: P
     assert facts(node)["fault hold"].startswith("no usable joint_command for 3 ticks; the driver")
     driver.command(late=30_000_001)
     driver.command(late=-30_000_001)
+    wait(lambda: "30.000 ms newer" in facts(node).get("last reason joint_command", ""), "newer")
     driver.command(torque=[np.nan, *TORQUE[1:]])
     driver.command(torque=TORQUE[1:], names=JOINTS[1:])
     assert driver.rejected() == before + 4

@@ -300,6 +300,27 @@ def test_a_paused_plant_takes_single_steps(here: Process, make: Callable[..., Ri
     assert (refused.success, refused.message) == (False, "the plant is not paused")
 
 
+def test_after_an_unanswered_step_the_plant_runs_without_end(here, make) -> None:
+    rig = make(autostart=False)
+    assert here.call(Trigger, "plant/step").success
+    rig.switch(False)
+    rig.switch(True)
+    rig.answer(0, 1)
+
+
+def test_a_step_at_the_last_tick_leaves_a_paused_plant_after_a_reset(here, make) -> None:
+    rig = make(duration=0.002)
+    rig.answer(0)
+    rig.switch(False)
+    assert here.call(Trigger, "plant/step").success
+    rig.send(1)
+    rig.until("finished", 1)
+    assert rig.reset().message == "paused"
+    rig.switch(True)
+    rig.send(0, 1)
+    rig.until("finished", 1)
+
+
 def test_a_speed_holds_the_next_tick_back_until_it_is_due(make: Callable[..., Rig]) -> None:
     rig = make(speed=0.01)  # a tick in 200 ms
     rig.answer(0)

@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import psutil
 import pytest
@@ -46,6 +47,16 @@ def test_the_bag_is_the_same_to_the_byte(tmp_path):
     assert (there / "metadata.yaml").read_text() == (here / "metadata.yaml").read_text()
     assert (other.message_count, other.bytes_received, other.lost) == (3000, 3000 * 16, {})
     assert not other.is_open and not psutil.pid_exists(other.process.pid)
+
+
+def test_a_pipe_that_may_not_grow_is_used_as_it_is(tmp_path, monkeypatch):
+    def refuse(*_: int) -> None:
+        raise PermissionError
+
+    kernel = SimpleNamespace(fcntl=refuse, F_SETPIPE_SZ=writer_process.fcntl.F_SETPIPE_SZ)
+    monkeypatch.setattr(writer_process, "fcntl", kernel)
+    fill(started(tmp_path / "bag"))
+    assert len(list(read_messages(tmp_path / "bag"))) == 3000
 
 
 def test_what_finds_no_room_is_counted_as_lost(tmp_path, monkeypatch):
