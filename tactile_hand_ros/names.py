@@ -9,9 +9,9 @@ Remap `clock:=/clock` on one of the plants.
 ROS has no message for numbers by finger. So three topics describe contacts as
 sensor_msgs/JointState with the finger names in `name` and the tick as timestamp:
 
-- `ground_truth/slip`, from plant to tactile_sensor and recorder: `position` is the distance that
-  the contact has slid since the start [m], `velocity` the sliding speed [m/s].
-- `grip_state`, from slip_regulator to recorder and viewer: `position` is the learned friction [1],
+- `ground_truth/slip`, from plant to tactile_sensor, recorder and cockpit: `position` is how far the
+  contact has slid since the start [m], `velocity` the sliding speed [m/s].
+- `grip_state`, from slip_regulator to recorder and cockpit: `position` is the learned friction [1],
   `velocity` the evidence for slip [0 to 1], `effort` the `ContactState`: 0 unknown, 1 stick,
   2 slip.
 - `grip_margin`, from slip_regulator to force_optimizer: `position` is the usable friction [1],

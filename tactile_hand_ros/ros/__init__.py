@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Everything that uses rclpy except the nodes: conversions, parameters, executor, middleware."""
+"""What nodes share: conversions, parameters, executor, middleware."""

@@ -289,6 +289,8 @@ class TactileNode(Node, Generic[C]):
         """
         if isinstance(error, self.fatal) or not self.context.ok():
             raise error
+        if isinstance(error, TickFailedError):  # `answering` has reported it
+            return
         if isinstance(error, TactileHandError) and not isinstance(error, UnsafeOutputError):
             if self.diagnostics.reject(source, error):
                 self.get_logger().warning(f"rejected a message on '{source}': {shortened(error)}")

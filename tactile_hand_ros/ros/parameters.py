@@ -97,7 +97,8 @@ class ConfigParameters(Generic[C]):
         """Reject unknown parameters; only warn about those of a file, which other nodes may use."""
         for name in unknown:
             hint = did_you_mean(name, list(self._fields))
-            if any(word.startswith(f"{name}:=") for word in sys.argv):
+            set_here = f"{name}:=", f"{self._node.get_name()}:{name}:="
+            if any(word.startswith(set_here) for word in sys.argv):
                 raise ConfigurationError(f"{self._source}: unknown parameter '{name}'{hint}")
             self._node.get_logger().warning(f"ignored the unknown parameter '{name}'{hint}")
 

@@ -35,7 +35,8 @@ def raise_priority(priority: int) -> None:
         return
     try:
         for thread in _threads():
-            os.sched_setscheduler(thread, os.SCHED_FIFO, os.sched_param(priority))
+            with contextlib.suppress(ProcessLookupError):  # it has ended
+                os.sched_setscheduler(thread, os.SCHED_FIFO, os.sched_param(priority))
     except OSError as error:
         advice = "run as root, or allow rtprio in limits.conf"
         _refusals.append(f"{PRIORITY} {priority} was refused ({error.strerror}): {advice}")

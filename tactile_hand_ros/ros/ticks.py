@@ -232,12 +232,15 @@ class TickInputs:
         self._contested = contested
         if contested or was_contested:
             self._node.diagnostics.judge("senders", contested, two_senders(self._trigger))
-        if contested or self._is_unconfirmed(stamp):
+        if contested:
             return
+        # First, or the tick after a late one would seem to leap ahead.
         if late := 1e-9 * self._matcher.lateness(stamp):
             self._node.reject(
                 self._trigger, f"its timestamp is {late:.3g} s before the last tick; it is ignored"
             )
+        elif self._is_unconfirmed(stamp):
+            return
         elif stamp == self._matcher.last:  # already answered; the answer may be lost
             if not self._waiting:  # else a newer answer follows
                 self._listener.on_repeat()
@@ -312,6 +315,8 @@ class TickInputs:
                 take(stamp, *self._values(matched))
             except TactileHandError as error:
                 self._node.reject(self._trigger, error)
+            except Exception as error:  # the ticks behind it must still be answered
+                self._node.survive("ticks", error)
 
     def _values(self, matched: tuple[Any, ...]) -> list[Any]:
         """Return one value per stream."""

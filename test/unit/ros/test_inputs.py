@@ -69,12 +69,17 @@ class Ear:
     def reject(self, topic: str, error: TactileHandError) -> None:
         self.rejected.append((topic, str(error)))
 
+    def survive(self, source: str, error: Exception) -> None:
+        self.rejected.append((source, repr(error)))
+
     def on_tick(self, stamp: int, *values: Any) -> None:
         if stamp == self.bad:
             raise TactileHandError("no answer to this tick")
         self.heard.append(("tick", stamp, values))
 
     def on_skipped_tick(self, stamp: int, *values: Any) -> None:
+        if stamp == self.bad:
+            raise KeyError("left")
         self.heard.append(("skipped", stamp, values))
 
     def on_repeat(self) -> None:
@@ -300,6 +305,17 @@ def test_a_tick_that_cannot_be_answered_is_reported_and_the_others_are_answered(
     assert node.rejected == [(names.JOINT_STATES, "no answer to this tick")]
 
 
+def test_a_tick_is_answered_although_a_skipped_one_before_it_fails():
+    node = Ear(observes=True)
+    node.bad = 17 * MS
+    complete(node, 16)
+    node.reads_late = True
+    complete(node, 17, 18, 19)
+    node.has_read()
+    assert node.kinds() == [("tick", 16), ("tick", 18), ("tick", 19)]
+    assert node.rejected == [("ticks", "KeyError('left')")]
+
+
 def test_ticks_that_wait_are_forgotten_when_the_stamps_start_over():
     """And the first one is not skipped, as if it followed the previous ones."""
     node = Ear()
@@ -337,6 +353,11 @@ def test_ticks_before_the_last_are_reported_until_the_stamps_have_caught_up(ear)
     assert kinds == ["tick", "tick", "restart", "tick"]
     texts = [text for topic, text in ear.rejected if topic == names.JOINT_STATES]
     assert len(texts) == 2 and "timestamp is 0.05 s before the last tick" in texts[0]
+
+
+def test_the_tick_after_a_late_one_is_no_leap(ear):
+    complete(ear, 2000, 1850, 2002)
+    assert ear.kinds() == [("tick", 2000), ("tick", 2002)]
 
 
 @pytest.mark.parametrize("ahead", [101, 900, 1_001, 10**6])

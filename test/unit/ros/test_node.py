@@ -152,6 +152,15 @@ def test_an_output_that_is_not_safe_is_no_bad_message_and_a_fatal_error_ends_the
     assert counts(node, "errors")["ticks"] == 1
 
 
+def test_an_error_at_a_tick_is_counted_once(node):
+    def answer() -> None:
+        with node.answering():
+            node.fail()
+
+    assert node.guarded("x", answer)() is None
+    assert counts(node, "errors")["ticks"] == 1 and counts(node, "rejected") == {}
+
+
 def test_a_service_refuses_in_the_fields_of_its_type():
     for kind in (Trigger, SetBool):
         answer = refusal(kind.Request(), kind.Response(success=True, message="yes"), "no")

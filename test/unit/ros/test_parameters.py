@@ -111,6 +111,11 @@ def test_bad_values_end_the_start_with_a_reason(declare, argument, words):
         declare("-p", argument)
 
 
+def test_an_unknown_parameter_of_this_node_only_ends_the_start_too(declare):
+    with pytest.raises(ConfigurationError, match="unknown parameter 'kp', did you mean 'k_p'"):
+        declare("-p", "plant:kp:=4.0", namespace="")
+
+
 @pytest.mark.parametrize("namespace", ["", "left/arm"])
 def test_a_written_file_gives_the_same_configuration(declare, tmp_path, namespace):
     config = Example(

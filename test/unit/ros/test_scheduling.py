@@ -1,12 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Threads that resend messages do not block others of the same priority."""
+"""Threads that resend messages block no others, and one that has ended is no refusal."""
 
 import contextlib
 import os
 import threading
 from pathlib import Path
 
-from tactile_hand_ros.ros.scheduling import yield_while_resending
+from tactile_hand_ros.ros.diagnostics import OK, Diagnostics
+from tactile_hand_ros.ros.scheduling import (
+    raise_priority,
+    report_scheduling,
+    yield_while_resending,
+)
 
 
 def _policies_of_thread(name):
@@ -36,3 +41,14 @@ def test_only_threads_that_resend_make_way_for_all_others():
     assert got == ((os.SCHED_FIFO, 1) if asked[0] == os.SCHED_FIFO else asked)
     asked, got = _policies_of_thread("dds.ev.0")
     assert got == asked
+
+
+def test_a_thread_that_has_ended_meanwhile_is_no_refusal(monkeypatch):
+    def end(*_: object) -> None:
+        raise ProcessLookupError
+
+    monkeypatch.setattr(os, "sched_setscheduler", end)
+    raise_priority(5)
+    diagnostics = Diagnostics("node")
+    report_scheduling(diagnostics)
+    assert diagnostics.status().level == OK
