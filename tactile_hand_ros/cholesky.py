@@ -9,7 +9,7 @@ import numpy as np
 
 from tactile_hand_ros.compiled import Array, compiled
 
-_SINGULAR = 1e-13  # share of a pivot that is left when its row depends on those before
+_SINGULAR = 1e-13  # fraction of a pivot that is left when its row depends on those before
 
 
 @compiled

@@ -29,6 +29,7 @@ LARGEST = 2**28
 
 _LATCHED = ("transient_local", 1)  # by name, or by rosbag2's older number
 _MAGIC = b"\x89MCAP0\r\n"
+_EVER = 1e10  # s, longer than since the epoch
 
 
 class Recovery(NamedTuple):
@@ -67,7 +68,7 @@ def recover(bag: Path | str, out: Path | str | None = None, last: float = 0.0) -
     files = _files_of(source)
     plain = (source if source.is_dir() else source.with_suffix("")).resolve()
     target = Path(out) if out is not None else plain.with_name(plain.name + "_recovered")
-    since = _last_received(files) - round(1e9 * last) if last else 0
+    since = _last_received(files) - round(1e9 * last) if 0.0 < last < _EVER else 0
     copy = _Copy(BagWriter(target, compression="zstd"), since)
     try:
         for file in files:

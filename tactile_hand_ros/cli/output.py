@@ -19,8 +19,8 @@ if TYPE_CHECKING:
 
 
 def _number_of_processes(jobs: int) -> int:
-    if jobs == 0:
-        raise typer.BadParameter("expected 1 or more processes, or -1 for all cores, got 0")
+    if jobs < 1 and jobs != -1:
+        raise typer.BadParameter(f"expected 1 or more processes, or -1 for all cores, got {jobs}")
     return jobs
 
 

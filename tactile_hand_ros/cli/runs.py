@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -115,9 +116,11 @@ def _publish(
 
     bag = find_bag(path)
     try:
+        from tactile_hand_ros.ros.middleware import check_environment, full_namespace
+
+        check_environment(os.environ)  # before rclpy is loaded: it would end the process
         from tactile_hand_ros.nodes.recorder.config import TopicSelection
         from tactile_hand_ros.nodes.replay import replaying
-        from tactile_hand_ros.ros.middleware import full_namespace
     except ModuleNotFoundError as error:
         raise TactileHandError(
             f"Replay needs ROS 2, but there is no module '{error.name}'; source ROS 2 or "

@@ -13,7 +13,7 @@ import pinocchio as pin
 
 from tactile_hand_ros.compiled import Array
 from tactile_hand_ros.config.hand_config import FingerConfig, HandConfig
-from tactile_hand_ros.errors import HandModelError
+from tactile_hand_ros.errors import HandModelError, shortened
 from tactile_hand_ros.extras import optional
 
 _END = 0.25  # of the extent along the axis, where the fit starts
@@ -85,7 +85,7 @@ def _own(root: Element, finger: FingerConfig) -> Fit | None:
     for shape in root.findall(f"link[@name='{finger.tip}']/collision"):
         if (sphere := shape.find("geometry/sphere")) is not None:
             center = three_numbers(shape.find("origin"), "xyz")
-            found.append(Fit(center, float(sphere.get("radius", "nan")), 0.0))
+            found.append(Fit(center, float(_numbers(sphere.get("radius", ""), 1)[0]), 0.0))
     return max(found, key=lambda fit: float(fit.center @ np.array(finger.axis)), default=None)
 
 
@@ -96,9 +96,7 @@ def _points(root: Element, finger: FingerConfig, file: Path) -> Array:
         mesh, origin = shape.find("geometry/mesh"), shape.find("origin")
         if mesh is None:
             continue
-        trimesh = optional("trimesh", "Fitting a fingertip")
-        body = trimesh.load(_mesh_file(str(mesh.get("filename")), file), force="mesh")
-        points, _ = trimesh.sample.sample_surface(body, _SAMPLES, seed=0)
+        points = _sampled(_mesh_file(str(mesh.get("filename")), file))
         turn = pin.rpy.rpyToMatrix(three_numbers(origin, "rpy"))
         place = three_numbers(origin, "xyz")
         return np.asarray(points * three_numbers(mesh, "scale", "1 1 1") @ turn.T + place)
@@ -108,13 +106,34 @@ def _points(root: Element, finger: FingerConfig, file: Path) -> Array:
     )
 
 
+def _sampled(mesh: Path) -> Array:
+    """Return points on the surface of a mesh, shape (n, 3); HandModelError if it is damaged."""
+    trimesh = optional("trimesh", "Fitting a fingertip")
+    try:
+        body = trimesh.load(mesh, force="mesh")
+        return np.asarray(trimesh.sample.sample_surface(body, _SAMPLES, seed=0)[0])
+    except Exception as error:  # damaged data can fail anywhere in the parsers
+        raise HandModelError(
+            f"the mesh '{mesh}' cannot be used: {shortened(error)}; correct the file, or give "
+            "'radius' and 'center' of the fingertip in the hand's YAML"
+        ) from None
+
+
 def three_numbers(element: Element | None, key: str, default: str = "0 0 0") -> Array:
     """Return an attribute with three numbers, shape (3,); HandModelError if it has others."""
-    text = default if element is None else element.get(key, default)
-    words = text.split()
-    if len(words) != 3:
-        raise HandModelError(f"the URDF has '{text}', expected three numbers")
-    return np.array(words, dtype=float)
+    return _numbers(default if element is None else element.get(key, default), 3)
+
+
+def _numbers(text: str, count: int) -> Array:
+    """Return the numbers of a text, shape (count,); HandModelError if it has others."""
+    try:
+        found = np.array(text.split(), dtype=float)
+    except ValueError:
+        found = np.zeros(0)
+    if len(found) != count or not np.isfinite(found).all():
+        expected = "a number" if count == 1 else "three numbers"
+        raise HandModelError(f"the URDF has '{text}', expected {expected}")
+    return found
 
 
 def _mesh_file(name: str, file: Path) -> Path:

@@ -32,6 +32,8 @@ class Asked(NamedTuple):
 def read_asked(messages: TopicMessages) -> list[Asked]:
     """Read an `accepted/<node>/requests` or `rejected/<node>`; raise BagError if it is broken."""
     decoded = [decode("diagnostic_msgs/msg/DiagnosticArray", one) for one in messages.data]
+    if not all(each.status and each.status[0].values for each in decoded):
+        raise BagError("A message about a user's request names none; expected a key and its value.")
     pairs = [(nanoseconds(each.header.stamp), each.status[0].values[0]) for each in decoded]
     return [Asked(stamp, pair.key, pair.value) for stamp, pair in pairs]
 

@@ -71,9 +71,13 @@ def find_prefix(topics: Iterable[str], namespace: str | None, bag: object) -> st
     wanted = next(iter(hands), "") if namespace is None and len(hands) < 2 else namespace
     if wanted is not None and wanted.strip("/") in hands:
         return hands[wanted.strip("/")]
+    if not hands:
+        raise BagError(f"The bag {bag} holds no run of a hand: it has no {names.JOINT_STATES}.")
     listed = ", ".join(sorted(hand or "/" for hand in hands))
-    where = f"the namespaces: {listed}; choose one of them" if hands else "no namespace"
-    raise BagError(f"The bag {bag} has the topic {names.JOINT_STATES} of a hand in {where}.")
+    raise BagError(
+        f"The bag {bag} has the topic {names.JOINT_STATES} of a hand in the namespaces: {listed}; "
+        "choose one of them."
+    )
 
 
 def find_fingers(topics: Iterable[str], prefix: str) -> list[str]:

@@ -318,7 +318,7 @@ class _Problem:
 
         pressing = torques(in_palm(contacts.rotations, optimal.forces, 1.0))
         carrying = [torques(wrench_forces(points, wrench)) for wrench in np.eye(3, 6)]
-        # Of each joint per newton of load: by the k_f that it needs, and by itself, at the worst.
+        # Worst torque of each joint per newton of load: of the k_f for it, and of the load itself.
         used = np.abs(pressing) / (friction - needed) + np.linalg.norm(carrying, axis=0)
         load = float(((hand.effort_limits - np.abs(hand.gravity_torque(theta))) / used).min())
         if load <= 0.0:

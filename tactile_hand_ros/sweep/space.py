@@ -14,7 +14,7 @@ from tactile_hand_ros.config.plain_yaml import parse_yaml
 from tactile_hand_ros.errors import ConfigurationError
 from tactile_hand_ros.extras import optional
 
-_MOST = 100_000  # whole numbers of a range, each of which is a run
+_MOST = 100_000  # values of a range, each of which is a run
 _FORMS = "LOW..HIGH, LOW..HIGH/LEVELS, LOW..HIGH:log or a list such as A,B,C"
 
 
@@ -60,7 +60,7 @@ def parse_parameter(text: str, whole: Collection[str] = ()) -> tuple[str, Parame
     path, _, values = text.partition("=")
     if not path or not values:
         raise ConfigurationError(f"--over got '{text}', expected PATH= and {_FORMS}.")
-    if ".." in values:
+    if ".." in values and not set("[,") & set(values):  # a list may name files such as ../a.yaml
         return path, _range(f"--over {path} got '{values}', expected", values, path in whole)
     inner = values if values.startswith("[") else f"[{values}]"
     found = parse_yaml(inner, f"--over {path}")
@@ -82,6 +82,7 @@ def _range(refusal: str, text: str, is_whole: bool) -> Parameter:
         "the lower bound first": not found.low < found.high,
         "bounds above 0 with :log": found.is_log and found.low <= 0.0,
         "2 or more levels": count < 2,
+        f"at most {_MOST} levels": count > _MOST,
         "whole numbers": is_whole and not (found.low.is_integer() and found.high.is_integer()),
         f"at most {_MOST} whole numbers": is_whole and found.high - found.low >= _MOST,
     }

@@ -17,6 +17,7 @@ from tactile_hand_ros.compiled import Array
 from tactile_hand_ros.config.model import Config
 from tactile_hand_ros.control.contact import Contacts
 from tactile_hand_ros.control.laws import Target
+from tactile_hand_ros.errors import BagError
 from tactile_hand_ros.run.events import Asked, nanoseconds, read_asked
 from tactile_hand_ros.run.run import Run
 from tactile_hand_ros.scenario.scenario import Scenario
@@ -126,6 +127,16 @@ def _configurations(
 
 
 def _values(event: Any) -> dict[str, Any]:
-    """Return the values of a ParameterEvent by name; the type selects the field."""
+    """Return the values of a ParameterEvent by name; the type selects the field.
+
+    Raises:
+        BagError: If a type is unknown.
+    """
+    for p in event.changed_parameters:
+        if not 0 < p.value.type < len(_FIELDS):
+            raise BagError(
+                f"The recorded parameter '{p.name}' has the type {p.value.type}, expected 1 to "
+                f"{len(_FIELDS) - 1}."
+            )
     found = {p.name: getattr(p.value, _FIELDS[p.value.type]) for p in event.changed_parameters}
     return {k: v.tolist() if isinstance(v, np.ndarray) else v for k, v in found.items()}

@@ -139,6 +139,11 @@ def test_recover(run, capsys):
     assert "exists already" in refused(capsys, "recover", run)
 
 
+def test_a_replay_that_no_node_could_receive_is_refused(run, capsys, monkeypatch):
+    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "OFF")
+    assert "set it to LOCALHOST or SUBNET" in refused(capsys, "replay", run)
+
+
 def test_a_namespace_without_a_hand_and_an_empty_name(run, capsys):
     assert "the scenario is ''" in refused(capsys, "run", "")
     assert "in the namespaces: /; choose" in refused(capsys, "summary", run, "--namespace=left")
@@ -151,6 +156,7 @@ def test_a_namespace_without_a_hand_and_an_empty_name(run, capsys):
         ("reproduce --layout=fist --out=x", "no layout 'fist'"),
         ("reproduce --duration=nan --out=x", "duration is nan"),
         ("reproduce --jobs 0", "expected 1 or more processes"),
+        ("reproduce --jobs -5", "expected 1 or more processes, or -1 for all cores, got -5"),
         ("frobnicate", "No such command 'frobnicate'"),
         ("show", "Missing argument"),
         ("rum", "Did you mean 'run'"),

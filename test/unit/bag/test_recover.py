@@ -250,6 +250,8 @@ def test_the_last_seconds_are_those_received_last_and_all_of_a_latched_topic(tmp
         writer.write(latched, payload(0), 10**9, 10**9)
         for i in range(101):
             writer.write(ticks, payload(i), 10**9 + 10**8 * i, 0)
+    for out, last in (("endless", float("inf")), ("huge", 1e300)):
+        assert recover(tmp_path / "run", tmp_path / out, last=last).messages == 102
     expected = [("/latched", payload(0)), *(("/ticks", payload(i)) for i in range(80, 101))]
     file = tmp_path / "run" / "run_0.mcap"
     for out in ("whole", "damaged"):

@@ -113,6 +113,25 @@ def test_a_mesh_without_a_round_end_is_named(tmp_path):
         changed(write_hand(tmp_path, [3, 3, 3]), link, fingers=fingers)
 
 
+@pytest.mark.parametrize(
+    ("shape", "origin", "said"),
+    [
+        ('sphere radius="abc"', "0 0 0", "the URDF has 'abc', expected a number"),
+        ("sphere", "0 0 0", "the URDF has '', expected a number"),
+        ('sphere radius="0.01"', "a b c", "the URDF has 'a b c', expected three numbers"),
+        ('mesh filename="tip.stl"', "0 0 0", "tip.stl' cannot be used: .*; correct the file"),
+    ],
+)
+def test_a_damaged_fingertip_is_one_sentence(tmp_path, shape, origin, said):
+    (tmp_path / "tip.stl").write_bytes(b"solid" + bytes(30))
+    tip = f'<collision><origin xyz="{origin}"/><geometry><{shape}/></geometry></collision>'
+    link = '<link name="f2_tip"/>', f'<link name="f2_tip">{tip}</link>'
+    fingers = [{"name": f"f{i}", "tip": f"f{i}_tip", "radius": 0.02} for i in (1, 2, 3)]
+    fingers[1] = {"name": "f2", "tip": "f2_tip", "axis": [0.0, 0.0, 1.0]}
+    with pytest.raises(HandModelError, match=said):
+        changed(write_hand(tmp_path, [3, 3, 3]), link, fingers=fingers)
+
+
 def test_broken_mjcf_is_an_error_with_its_reason(tmp_path):
     path = write(tmp_path, MJCF.replace("<worldbody>", "<worldbody><body/><hand/>"))
     with pytest.raises(HandModelError, match="MuJoCo cannot read"):

@@ -3,6 +3,8 @@
 
 import numpy as np
 import pytest
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from rclpy.serialization import serialize_message
 
 from tactile_hand_ros.bag.reader import TopicMessages
 from tactile_hand_ros.closed_loop.record import Record
@@ -15,6 +17,7 @@ from tactile_hand_ros.run.events import (
     alarm_count,
     asked_events,
     events,
+    read_asked,
     read_pushes,
     slip_count,
 )
@@ -142,6 +145,13 @@ def test_calls_and_refusals_are_told_with_what_was_asked():
         Event(2.0, "request", "", "a user calls enable (false)"),
         Event(0.5, "refusal", "", "desired_pose is rejected: out of reach"),
     ]
+
+
+@pytest.mark.parametrize("status", [[], [DiagnosticStatus()]])
+def test_a_request_that_names_nothing_is_a_broken_bag(status) -> None:
+    data = serialize_message(DiagnosticArray(status=status))
+    with pytest.raises(BagError, match="expected a key and its value"):
+        read_asked(TopicMessages([0], [data]))
 
 
 def test_pushes_of_users_are_told_with_their_largest_force() -> None:

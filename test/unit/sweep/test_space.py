@@ -27,6 +27,8 @@ SPACE = {"a": Range(0.0, 2.0), "b": Range(0.1, 10.0, is_log=True), "c": Choice((
         ("m=[[0, 0, -9.81], [0, 0, 0]]", Choice(([0, 0, -9.81], [0, 0, 0]))),
         ("m=true,false", Choice((True, False))),
         ("m=7", Choice((7,))),
+        ("m=../a.yaml,../b.yaml", Choice(("../a.yaml", "../b.yaml"))),
+        ("m=[../a.yaml]", Choice(("../a.yaml",))),
     ],
 )
 def test_what_is_varied_is_read(text, expected):
@@ -45,6 +47,7 @@ def test_what_is_varied_is_read(text, expected):
         ("m=1..x", "expected LOW..HIGH"),
         ("m=0..inf", "expected LOW..HIGH"),
         ("m=0..1/1", "expected 2 or more"),
+        ("m=0..1/1000000000", "expected at most 100000 levels"),
         ("m=[]", "expected LOW..HIGH"),
         ("n=0.5..2", "expected whole numbers"),
         ("n=1..1e9", "expected at most 100000 whole numbers"),

@@ -16,6 +16,7 @@ from support.recorded import (
     write_tick,
 )
 
+from tactile_hand_ros.errors import BagError
 from tactile_hand_ros.run.run import Run
 from tactile_hand_ros.scenario.scenario import load_scenario, resolved
 from tactile_hand_ros.verify.recorded_inputs import PARAMETERS, read_inputs
@@ -69,3 +70,14 @@ def test_the_inputs_are_those_of_the_last_run_in_a_bag(run):
     assert len(inputs.changes["force_optimizer"]) == 1 and not inputs.may_skip
     other = load_scenario("paper", {"plant.pacing": "realtime"})
     assert read_inputs(run, other).may_skip
+
+
+@pytest.mark.parametrize("kind", [0, 10])
+def test_a_parameter_of_an_unknown_type_is_a_broken_bag(tmp_path, kind):
+    event = parameter_event(7, "x", {"law.k_p": 1.0})
+    event.changed_parameters[0].value.type = kind
+    with RunWriter(tmp_path / "bag", {"scenario": resolved(SCENARIO)}) as bag:
+        write_tick(bag, random_record(1), 0, START)
+        bag.write("/accepted/manipulation_controller/parameters", event, START)
+    with pytest.raises(BagError, match=f"'law.k_p' has the type {kind}, expected 1 to 9"):
+        read_inputs(Run(tmp_path), SCENARIO)
