@@ -52,7 +52,8 @@ _LONGEST_GAP = 0.05  # s; after a longer pause a tick integrates and moves no mo
 _SHORTEST_LEVER = 1e-6  # m, far below any hand's; keeps the linear system regular
 _MOVES_UNTIL = 0.8  # fraction of the limit of k_f at which a move stops, before the load grows
 _FIRST_PERIOD = 0.01  # s between ticks, assumed before the second tick
-_INTERVALS = 9  # between ticks, of which the median is the period
+_INTERVALS = 32  # between ticks; a quarter is shorter than the period, as stamps jitter, and many
+# are longer on a busy computer, which skips ticks
 _NEW_PERIOD = 0.2  # relative change of the period for which gains are fitted again
 
 NO_POSES = (
@@ -781,7 +782,7 @@ class Controller:
             return 0.0
         passed = 1e-9 * (stamp - before)
         self._intervals.append(passed)
-        self._period = sorted(self._intervals)[len(self._intervals) // 2]
+        self._period = sorted(self._intervals)[len(self._intervals) // 4]
         continues = self._mode is (Mode.OPEN if self._regrasp.active else Mode.DRIVE)
         return min(passed, _LONGEST_GAP) if continues else 0.0
 
