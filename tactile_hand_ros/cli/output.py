@@ -51,7 +51,7 @@ def console(stderr: bool = False) -> Console:
     """Return a console that is wide enough for tables in files and pipes."""
     from rich.console import Console
 
-    made = Console(stderr=stderr)
+    made = Console(stderr=stderr, markup=False)
     if not made.is_terminal:
         made.width = 140  # the width of a file or pipe is unknown; 80 would cut tables
     return made

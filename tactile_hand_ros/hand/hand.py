@@ -318,14 +318,14 @@ class Hand:
         pin.framesForwardKinematics(self.model, self._data, self.all_angles(theta))
         return np.array([self._data.oMf[frame].rotation for frame in self.tip_frames])
 
-    def joint_positions(self, theta: Array) -> list[list[Array]]:
-        """Return joint and tip positions along every finger, palm frame, each of shape (3,), m."""
+    def joint_positions(self, theta: Array) -> list[Array]:
+        """Return joint and tip positions of every finger, palm frame, shape (joints + 1, 3), m."""
         data = self._data
         pin.framesForwardKinematics(self.model, data, self.all_angles(theta))
         chains = []
         for frame in self.tip_frames:
             places = [data.oMi[joint] for joint in _chain(self.model, frame)] + [data.oMf[frame]]
-            chains.append([place.translation.copy() for place in places])
+            chains.append(np.array([place.translation for place in places]))
         return chains
 
 

@@ -11,7 +11,6 @@ from contextlib import AbstractContextManager
 import typer
 
 from tactile_hand_ros.command_line import Interrupted, Signals, prepare_for_ros, run_command, say
-from tactile_hand_ros.errors import ConfigurationError
 from tactile_hand_ros.orchestrator.options import RunOptions, with_options
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None)
@@ -79,8 +78,7 @@ def split_ros_arguments(line: Sequence[str]) -> tuple[list[str], list[str]]:
         return list(line)[1:], []
     from rclpy.utilities import remove_ros_args
 
-    try:
+    from tactile_hand_ros.ros.middleware import arguments_checked
+
+    with arguments_checked():
         return remove_ros_args(list(line))[1:], list(line)
-    except RuntimeError as error:
-        reason = str(error).split(", at ")[0]
-        raise ConfigurationError(f"the ROS arguments cannot be used: {reason}") from None

@@ -47,7 +47,7 @@ def grasp_figure(record: Record, scenario: Scenario) -> Figure:
     """
     hand = Hand.load(scenario.hand, scenario.layout)
     rows, dropped = (min(1, len(record) - 1), len(record) - 1), dropped_at(record)
-    points = np.vstack([point for row in rows for point in _chains(hand, record, row)])
+    points = np.vstack([point for row in rows for point in hand.joint_positions(record.theta[row])])
     reach = float(np.linalg.norm(points, axis=1).max())
     forces = known_part(contact_forces(record)[list(rows)])
     strongest = np.nanmax(np.linalg.norm(forces, axis=2), initial=1e-9)
@@ -57,7 +57,7 @@ def grasp_figure(record: Record, scenario: Scenario) -> Figure:
         for number, row in enumerate(rows):
             axes = _panel(figure, points, 0.5 * number, 0.5)
             title = f"({'ab'[number]}) {_WHEN[number]}"
-            _draw_hand(axes, _chains(hand, record, row), hand.radii, reach)
+            _draw_hand(axes, hand.joint_positions(record.theta[row]), hand.radii, reach)
             _draw_object(axes, record, row, scenario, reach)
             _draw_contacts(axes, record, row, reach, per_newton)
             title += f", $t$ = {record.times[row]:.3g} s"
@@ -70,7 +70,7 @@ def grasp_figure(record: Record, scenario: Scenario) -> Figure:
 
 def hand_figure(hand: Hand, theta: Array, body: ObjectConfig | None = None) -> Figure:
     """Draw a hand at joint angles of shape (m,), rad, alone or with an object at its first pose."""
-    chains = [np.array(chain) for chain in hand.joint_positions(theta)]
+    chains = hand.joint_positions(theta)
     points = np.vstack([np.zeros((1, 3)), *chains])
     with look():
         figure = new_figure(0.5 * PAGE, 3.1, layout="none")
@@ -79,11 +79,6 @@ def hand_figure(hand: Hand, theta: Array, body: ObjectConfig | None = None) -> F
         if body is not None:
             _draw_solid(axes, body.solid(), rodrigues(*body.rotation), np.array(body.position))
     return figure
-
-
-def _chains(hand: Hand, record: Record, row: int) -> list[Array]:
-    """Return the joints and the tip of each finger at a tick, palm frame, m."""
-    return [np.array(chain) for chain in hand.joint_positions(record.theta[row])]
 
 
 def _panel(figure: Figure, points: Array, left: float = 0.0, width: float = 1.0) -> Any:

@@ -117,7 +117,7 @@ def rich_table(title: str, columns: Sequence[str], rows: Rows = ()) -> Table:
     for column in columns:
         table.add_column(column, no_wrap=column == "verdict", overflow="fold")
     for row in rows:
-        table.add_row(*map(plain, row))
+        table.add_row(*row)
     return table
 
 
@@ -148,8 +148,3 @@ def milli(value: float, unit: str) -> str:
 def _with_error(value: float, error: float) -> str:
     off = "" if math.isnan(error) else f"  ({100 * error:.2g} % off k_f)"
     return ("unknown" if math.isnan(value) else f"{value:.6g} N") + off
-
-
-def plain(text: str) -> str:
-    """Keep rich from interpreting square brackets as markup."""
-    return text.replace("[", "\\[")

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 from tactile_hand_ros.report.figures import friction_figure, motion_figure
 from tactile_hand_ros.report.scene import grasp_figure
 from tactile_hand_ros.report.style import pretty, save
-from tactile_hand_ros.report.tables import markdown, plain, rich_table
+from tactile_hand_ros.report.tables import markdown, rich_table
 from tactile_hand_ros.reproduce.claims import (
     EXPERIMENTS,
     FAILS,
@@ -115,8 +115,9 @@ _COLORS = {HOLDS: "green", PARTLY: "yellow", FAILS: "red"}
 
 def claim_table(result: Reproduction) -> Table:
     """Return the claims of a layout as a table for the terminal."""
+    from rich.text import Text
+
     table = rich_table(f"layout {result.layout}", CLAIM_COLUMNS)
     for *texts, verdict in result.claims:
-        color = _COLORS[verdict]
-        table.add_row(*map(plain, texts), f"[{color}]{verdict}[/{color}]", end_section=True)
+        table.add_row(*texts, Text(verdict, _COLORS[verdict]), end_section=True)
     return table

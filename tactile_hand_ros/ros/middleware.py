@@ -108,28 +108,28 @@ def full_namespace(given: str, ros_arguments: Sequence[str] = ()) -> str:
 
 
 @contextlib.contextmanager
+def arguments_checked() -> Iterator[None]:
+    """Turn the errors of rcl for bad ROS arguments into ConfigurationError."""
+    try:
+        yield
+    except RuntimeError as error:
+        reason = str(error).split(", at ")[0].removeprefix("failed to initialize rcl: ")
+        raise ConfigurationError(f"the ROS arguments cannot be used: {reason}.") from None
+
+
+@contextlib.contextmanager
 def ros_context(arguments: Sequence[str] = (), domain: int | None = None) -> Iterator[Context]:
     """Provide an rclpy context without signal handlers, by default in the environment's domain.
 
     Raises:
         ConfigurationError: If the ROS arguments are invalid.
     """
-    import rclpy
     from rclpy.context import Context
-    from rclpy.signals import SignalHandlerOptions
 
     use_sockets()
     context = Context()
-    try:
-        rclpy.init(
-            context=context,
-            args=list(arguments),
-            domain_id=domain,
-            signal_handler_options=SignalHandlerOptions.NO,
-        )
-    except RuntimeError as error:
-        reason = str(error).split(", at ")[0]  # without the location in rcl
-        raise ConfigurationError(f"the ROS arguments cannot be used: {reason}") from None
+    with arguments_checked():
+        context.init(list(arguments), domain_id=domain)  # without signal handlers
     try:
         yield context
     finally:

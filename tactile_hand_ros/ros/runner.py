@@ -17,9 +17,9 @@ from rclpy.exceptions import InvalidHandle, NotInitializedException
 from rclpy.node import Node
 from rclpy.utilities import remove_ros_args
 
-from tactile_hand_ros.errors import ConfigurationError, TactileHandError
+from tactile_hand_ros.errors import TactileHandError
 from tactile_hand_ros.ros.executor import spin
-from tactile_hand_ros.ros.middleware import use_sockets
+from tactile_hand_ros.ros.middleware import arguments_checked, use_sockets
 from tactile_hand_ros.ros.scheduling import PRIORITY, parse_priority, raise_priority
 
 EXIT_OK, EXIT_FAILED, EXIT_REFUSED = 0, 1, 2
@@ -138,14 +138,11 @@ def _init(line: list[str], described: Sequence[Callable[..., Any]]) -> int:
     how = "run under SCHED_FIFO, 1 to 99"
     parser.add_argument(PRIORITY, type=parse_priority, default=0, metavar="N", help=how)
     use_sockets()
-    try:
+    with arguments_checked():
         options = parser.parse_args(remove_ros_args(args=line)[1:])
         rclpy.init(args=line)
-        if _was_signalled:  # before rclpy handles signals
-            raise KeyboardInterrupt
-    except RuntimeError as error:
-        reason = str(error).split(", at ")[0].removeprefix("failed to initialize rcl: ")
-        raise ConfigurationError(f"the ROS arguments cannot be used: {reason}.") from None
+    if _was_signalled:  # before rclpy handles signals
+        raise KeyboardInterrupt
     return int(options.priority)
 
 
