@@ -195,7 +195,7 @@ def test_run_reaches_its_goal_and_is_recorded_completely(domain, tmp_path):
 
 def test_live_offers_a_page_until_ctrl_c(domain, tmp_path):
     options = ("--no-browser", "--no-report", "--namespace", "/left", "--out", tmp_path / "runs")
-    words = [sys.executable, "-m", f"{PACKAGE}.cli", "live", *map(str, options)]
+    words = [Path(sys.executable).with_name("tactile-hand"), "live", *map(str, options)]
     with CapturedProcess(words) as live:
         live.wait_for_output(LINK, PATIENCE)
         wait_until_running(tmp_path, live)
