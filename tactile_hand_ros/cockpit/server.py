@@ -127,8 +127,7 @@ class Server:
 
     async def _on_socket(self, request: Any) -> Any:
         self._check(request)
-        options: dict[str, Any] = {"max_msg_size": _LARGEST, "heartbeat": 20.0, "compress": False}
-        connection = web.WebSocketResponse(**options)
+        connection = web.WebSocketResponse(max_msg_size=_LARGEST, heartbeat=20.0, compress=False)
         await connection.prepare(request)
         tab = Tab(connection)
         self._driver = self._driver or tab
