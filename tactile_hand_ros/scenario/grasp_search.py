@@ -53,6 +53,7 @@ _NO_SPEED = 1e-3  # m/rad, singular value of a direction in which a tip does not
 _PRESS = 0.25  # of a normal; below, a tip moves sideways four times as far as it presses
 _ROOM = 0.25  # of the ways to joint limits and rims, that a grasp needs to be moved
 _TOUCH = 1e-4  # m; further away, a tip does not touch
+_GAIN = 0.01  # of the sum of squares; steps that gain less hardly change the order of the grasps
 # Observer of a hand that keeps its posture at the bandwidth w = 125 rad/s of a hold at 1 kHz. The
 # weight of an object whose inertia is r times that of the fingers is carried stably where
 # (1 + 2 w T) (2 w + w^2 T) > (1 + r) w^2 T: here for r < 29, s.
@@ -221,7 +222,7 @@ class _Problem:
         bounds[: len(theta)] = self._upper + _NO_SPAN
         below = np.concatenate([self._lower - _NO_SPAN, np.full(6, -np.inf)])
         x = optimize.least_squares(
-            self._residuals, start, bounds=(below, bounds), max_nfev=60, x_scale="jac"
+            self._residuals, start, bounds=(below, bounds), ftol=_GAIN, max_nfev=60, x_scale="jac"
         ).x
         return self._judged(x, friction)
 

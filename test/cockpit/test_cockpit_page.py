@@ -15,8 +15,8 @@ import numpy as np
 import pytest
 from selenium.webdriver.common.action_chains import ActionChains
 from selenium.webdriver.common.by import By
-from support.browser import Page, browser
 from std_msgs.msg import Float64
+from support.browser import Page, browser
 from support.graph import Graph
 
 from bench.processes import CapturedProcess, isolated_domain, start_executable

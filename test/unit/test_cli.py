@@ -23,7 +23,7 @@ from tactile_hand_ros.report.hand import example_posture, notes
 from tactile_hand_ros.ros.processes import wait_until
 from tactile_hand_ros.scenario.scenario import load_scenario, resolved
 
-COMMAND = [sys.executable, "-m", "tactile_hand_ros.cli"]
+COMMAND = [Path(sys.executable).with_name("tactile-hand")]
 
 
 @pytest.fixture

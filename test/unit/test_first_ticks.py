@@ -72,6 +72,7 @@ def test_no_tick_loads_compiled_code(scenario, tmp_path):
             files = parameter_files(chosen, tmp_path, [name])
             done = subprocess.run(
                 [sys.executable, "-c", STEPS, name, BLOCKS[name], str(file), *files],
+                cwd=tmp_path,  # here `-c` would take the tree for the installed package
                 capture_output=True,
                 text=True,
                 timeout=120,
