@@ -50,7 +50,9 @@ export class Chart {
 
   /** Explain the signs of the events that there are. */
   _explain(keys = []) {
-    if (this.keys?.length === keys.length) return;
+    const kinds = keys.map(([kind]) => kind).join();
+    if (this.kinds === kinds) return;
+    this.kinds = kinds;
     for (const key of this.keys ?? []) key.remove();
     this.keys = keys.map(([kind, title]) => el("span", { class: "event-key", "data-kind": kind }, el("i", { class: `sign ${kind}` }), title));
     this.legend.append(...this.keys);

@@ -36,8 +36,11 @@ export class LiveSource {
     const sent = this.fault === "wrong" ? wrong(command) : command;
     if (this.fault === "late") setTimeout(() => this._send({ ...sent, id }), LATE);
     else this._send({ ...sent, id });
-    if (command.do !== "save") setTimeout(() => this._received({ reply: id, ok: false, text: "no answer within 5 s; is the node stopped?" }), PATIENCE);
-    return new Promise((resolve) => this._waiting.set(id, resolve));
+    return new Promise((resolve) => {
+      const late = { reply: id, ok: false, text: "no answer within 5 s; is the node stopped?" };
+      const timer = command.do === "save" ? 0 : setTimeout(() => this._received(late), PATIENCE);
+      this._waiting.set(id, (answer) => (clearTimeout(timer), resolve(answer)));
+    });
   }
 
   /** Ask for the next picture; call it when the last one has been drawn. */
