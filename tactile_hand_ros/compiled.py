@@ -168,8 +168,9 @@ def _compiler() -> Callable[[Any], Any]:
 
     def compile_one(function: Any) -> Any:
         made, chosen = jit(function), numba.config.CACHE_DIR
-        numba.config.CACHE_DIR = _cache_of(function.__module__)
-        with contextlib.suppress(RuntimeError):  # no writable directory for the result
+        numba.config.CACHE_DIR = place = _cache_of(function.__module__)
+        with contextlib.suppress(OSError, RuntimeError):  # no writable directory for the result
+            os.makedirs(place, exist_ok=True)  # else Numba would take another one
             made._cache = Cache(function)
         numba.config.CACHE_DIR = chosen
         return made

@@ -3,7 +3,6 @@
 
 from typing import Any
 
-import numpy as np
 from geometry_msgs.msg import PoseArray, WrenchStamped
 from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool, Trigger
@@ -14,7 +13,6 @@ from bench.processes import parameter_files
 from tactile_hand_ros import names
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
 from tactile_hand_ros.nodes import composed
-from tactile_hand_ros.ros.messages import ContactsCodec, JointCodec, WrenchCodec
 from tactile_hand_ros.ros.qos import tick_qos
 from tactile_hand_ros.scenario.scenario import Scenario, load_scenario
 
@@ -30,15 +28,13 @@ def short(name: str = "pull", **changes: Any) -> Scenario:
 def start(here: Process, scenario: Scenario, tmp_path: Any, *, controllers: bool = False) -> Any:
     """Make the nodes of a composition with the parameters of a scenario; return them by name."""
     arguments = ["--ros-args", *parameter_files(scenario, tmp_path)]
-    kwargs = {"context": here.context, "cli_args": arguments}
     make = composed.controller_nodes if controllers else composed.composed_nodes
-    nodes = {node.get_name(): node for node in make(**kwargs)}
+    nodes = {node.get_name(): node for node in make(context=here.context, cli_args=arguments)}
     here.add(*nodes.values())
     return nodes
 
 
 def run_to_the_end(here: Process, plant: Any) -> None:
-    """Let time pass until the plant has finished."""
     assert here.call(SetBool, "plant/run", data=True).success
     here.wait(lambda: not plant.work() and facts(plant)["mode"] == "finished", "the end")
 
@@ -88,25 +84,17 @@ def test_a_node_that_fails_leaves_its_tick_without_a_command(tmp_path, monkeypat
 def test_the_controllers_of_a_real_hand_answer_joints_and_touch(tmp_path, here):
     """Fed with what the drivers of a hand publish, they answer as in the closed loop."""
     scenario = short("paper")
-    expected = ClosedLoop(scenario).run(20)
+    run = ClosedLoop(scenario).run(20)
+    expected = encoded(run)
     nodes = start(here, scenario, tmp_path, controllers=True)
-    sent = tapped(nodes["manipulation_controller"])["joint_command"]
-    fingers = expected.finger_names
-    frames = [WrenchCodec(names.contact_frame(name)) for name in fingers]
-    user, tick = here.user, tick_qos()
-    joints = user.create_publisher(JointState, names.JOINT_STATES, tick)
-    contacts = user.create_publisher(PoseArray, names.CONTACTS, tick)
-    wrenches = [user.create_publisher(WrenchStamped, names.wrench(n), tick) for n in fingers]
-    for each in (joints, contacts, *wrenches):
+    sent = tapped(nodes["manipulation_controller"])[names.JOINT_COMMAND]
+    kinds = {names.JOINT_STATES: JointState, names.CONTACTS: PoseArray}
+    kinds |= dict.fromkeys(map(names.wrench, run.finger_names), WrenchStamped)
+    drivers = [here.user.create_publisher(kinds[topic], topic, tick_qos()) for topic in kinds]
+    for each in drivers:
         here.wait(lambda each=each: each.get_subscription_count() == 1, each.topic_name)
-    r = expected
-    for row, stamp in enumerate(int(s) for s in r.stamps):
-        states = JointCodec(r.joint_names).encode
-        joints.publish(states(stamp, r.theta[row], r.rates[row], r.torque[row]))
-        touch = r.contact_positions[row], r.contact_quaternions[row]
-        contacts.publish(ContactsCodec(3).encode(*touch, stamp))
-        for publisher, codec, force in zip(wrenches, frames, r.forces[row], strict=True):
-            publisher.publish(codec.encode(force, stamp))
+    for row, stamp in enumerate(run.stamps):
+        for each in drivers:
+            each.publish(expected[each.topic_name][row])
         here.wait(lambda row=row: len(sent) == row + 1, f"the answer to {stamp}")
-    torques = [JointCodec(r.joint_names, ("effort",)).decode(data)[1][0] for data in sent]
-    np.testing.assert_array_equal(torques, expected.command)
+    assert sent == expected[f"/{names.JOINT_COMMAND}"]

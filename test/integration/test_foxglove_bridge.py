@@ -97,9 +97,7 @@ def talk(link: str, act: Any) -> Any:
     return asyncio.run(connected())
 
 
-def test_each_client_gets_topics_as_they_are_and_the_last_of_latched_ones(
-    graph: tuple[Graph, str],
-) -> None:
+def test_each_client_gets_topics_as_they_are_and_the_last_of_latched_ones(graph) -> None:
     async def act(client: Client) -> tuple[JointState, String]:
         await client.show("/joint_states", "/robot_description")
         found: dict[str, bytes] = {}
@@ -147,6 +145,7 @@ def test_a_client_steers_the_hand_and_nothing_else(graph: tuple[Graph, str]) -> 
     hand.wait(lambda: hand.rejected(names.CONTROLLER, names.DESIRED_POSE) >= 1, "another")
 
 
+@pytest.mark.usefixtures("domain")
 def test_by_default_no_client_commands() -> None:
     """Any web page in a browser of this machine reaches the socket."""
 
@@ -154,10 +153,7 @@ def test_by_default_no_client_commands() -> None:
         await client.read()
         return client.capabilities
 
-    with (
-        isolated_domain(),
-        start_executable("foxglove_bridge", "--ros-args", "-p", "port:=0") as bridge,
-    ):
+    with start_executable("foxglove_bridge", "--ros-args", "-p", "port:=0") as bridge:
         bridge.wait_for_output("foxglove: ", PATIENCE)
         link = re.search(SOCKET, bridge.stdout)[1]  # type: ignore[index]
         assert talk(link, act) == []

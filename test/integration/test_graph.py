@@ -12,7 +12,7 @@ from support.messages import encoded
 from support.recorded import assert_same
 from visualization_msgs.msg import MarkerArray
 
-from bench.processes import isolated_domain, start_executable
+from bench.processes import start_executable
 from tactile_hand_ros import names
 from tactile_hand_ros.bag.reader import read_messages
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
@@ -22,7 +22,7 @@ from tactile_hand_ros.ros import qos
 from tactile_hand_ros.run.run import Run
 from tactile_hand_ros.scenario.scenario import Scenario, load_scenario
 
-NOISE = {"location_noise": 1e-4, "force_noise": 0.05}
+NOISE = {"tactile_sensor.location_noise": 1e-4, "tactile_sensor.force_noise": 0.05}
 P_D = load_scenario("paper").targets[0].position
 RECORDED = [*TICK_TOPICS, names.ACCEPTED_POSE]
 
@@ -32,15 +32,10 @@ def short(name: str = "paper", **changes: object) -> Scenario:
     return load_scenario(name, {"duration": 0.6, "plant.autostart": False, **changes})
 
 
-def noisy(amount: dict[str, float]) -> Scenario:
-    return short(**{f"tactile_sensor.{key}": value for key, value in amount.items()})
-
-
 def record(graph: Graph, output: Path) -> Path:
     """Run from the start to the end with a recorder."""
-    wanted = [f"'{graph.full(topic)}'" for topic in RECORDED]
-    options = [f"output:={output}", f"topics:=[{','.join(wanted)}]"]
-    flags = [word for option in options for word in ("-p", option)]
+    wanted = ",".join(f"'{graph.full(topic)}'" for topic in RECORDED)
+    flags = ("-p", f"output:={output}", "-p", f"topics:=[{wanted}]")
     graph.health.pop("/recorder", None)
     graph.wait_for_readers()
     with start_executable("recorder", "--ros-args", *flags) as recorder:
@@ -67,31 +62,31 @@ def assert_same_ticks(recorded: Record, expected: Record) -> None:
     assert_same(recorded, replace(expected, palm=recorded.palm))
 
 
-def test_the_graph_gives_the_numbers_of_the_in_process_loop(tmp_path):
+def test_the_graph_gives_the_numbers_of_the_in_process_loop(domain, tmp_path):
     """With noise and, in the same processes, without; a killed one would leave no locked memory."""
-    with isolated_domain() as domain, Graph(noisy(NOISE), domain, tmp_path) as graph:
+    with Graph(short(**NOISE), domain, tmp_path) as graph:
         bags = [record(graph, tmp_path / "noisy")]
         for key in NOISE:
-            assert graph.set_parameter("tactile_sensor", key, 0.0).successful
+            assert graph.set_parameter(*key.split("."), 0.0).successful
         bags.append(record(graph, tmp_path / "quiet"))
         for process in graph.processes.values():
             assert "/dev/shm/fastrtps" not in Path(f"/proc/{process.pid}/maps").read_text()
         assert set(graph.end(signal.SIGTERM).values()) == {0}
     estimates = {names.GRIP_MARGIN, *(names.load(f"finger_{i}") for i in (1, 2, 3))}
     for bag, noise in zip(bags, (NOISE, {}), strict=True):
-        expected = ClosedLoop(noisy(noise)).run()
+        expected = ClosedLoop(short(**noise)).run()
         assert_same_ticks(Run(bag).record, expected)
         found, held = payloads(bag), encoded(expected)
         assert {topic: found[topic] for topic in held} == held
         assert found.keys() - held.keys() == {f"/{each}" for each in estimates}  # not in a record
 
 
-def test_what_slips_is_held_as_in_process(tmp_path):
+def test_what_slips_is_held_as_in_process(domain, tmp_path):
     """Weight, a noisy skin, a sudden pull: slip, friction, k_f and reshaped f* are the same."""
     pull = {"kind": "step", "start": 0.3, "force": [0.0, 0.0, -14.0]}  # more than the reserve
     slippery = {"plant.disturbances": [pull], "plant.object.friction": 0.25}
     scenario = short("pull", **slippery)
-    with isolated_domain() as domain, Graph(scenario, domain, tmp_path) as graph:
+    with Graph(scenario, domain, tmp_path) as graph:
         recorded = Run(record(graph, tmp_path / "bag")).record
     expected = ClosedLoop(scenario).run()
     assert_same_ticks(recorded, expected)
@@ -100,29 +95,28 @@ def test_what_slips_is_held_as_in_process(tmp_path):
     assert expected.grasp_force[-1] > 3.0 * expected.grasp_force[0]
 
 
-def test_an_imu_and_a_skin_too_late_to_be_believed_cost_no_tick(tmp_path):
+def test_an_imu_and_a_skin_too_late_to_be_believed_cost_no_tick(domain, tmp_path):
     """For 20 ms nothing is felt although the motors press; time waits for the controller's hold."""
     turns = [{"time": 0.5, "rotation": [0.2, 0.0, 0.1]}]
     late = {"tactile_sensor.latency": 0.02, "plant.palm_motion": turns, "duration": 0.2}
     scenario = short("forearm", **late)
-    with isolated_domain() as domain, Graph(scenario, domain, tmp_path) as graph:
+    with Graph(scenario, domain, tmp_path) as graph:
         recorded = Run(record(graph, tmp_path / "bag")).record
     assert_same_ticks(recorded, ClosedLoop(scenario).run())
 
 
-def test_two_hands_in_one_domain_do_not_disturb_each_other(tmp_path):
+def test_two_hands_in_one_domain_do_not_disturb_each_other(domain, tmp_path):
     """Another layout, target and rate; each ends where its own in-process loop ends.
 
     The left one is wrongly calibrated, with longer links, larger tips and turned skins, so that its
     sensor reads joints. A viewer shows it in frames of its own.
     """
-    (tmp_path / "left").mkdir()
-    (tmp_path / "right").mkdir()
+    for name in ("left", "right"):
+        (tmp_path / name).mkdir()
     errors = {"link_lengths": 1.02, "tip_radii": 1.05, "skin_rotation": [0.01, -0.02, 0.03]}
     left = short(duration=0.3, **{f"calibration.{key}": value for key, value in errors.items()})
     right = short("pinch", **{"duration": 0.4, "plant.rate": 250.0})
     with (
-        isolated_domain() as domain,
         Graph(left, domain, tmp_path / "left", "/left") as one,
         Graph(right, domain, tmp_path / "right", "/right") as other,
         start_executable("viewer", "--ros-args", "-r", "__ns:=/left") as viewer,

@@ -36,8 +36,7 @@ class ServoGraph(Graph):
 
     def start(self, name):
         remap = ["-r", "joint_command:=torque"] if name == names.CONTROLLER else []
-        files = parameter_files(self.scenario, self._folder, [name])
-        return self._enter(name, *remap, *files)
+        return self._enter(name, *remap, *parameter_files(self.scenario, self._folder, [name]))
 
     def _talk(self):
         super()._talk()
@@ -78,17 +77,10 @@ class ServoGraph(Graph):
 def test_position_servos_keep_the_object_by_normal_forces_also_without_a_controller(tmp_path):
     scenario = load_scenario("ability", CHANGES)
     with isolated_domain() as domain, ServoGraph(scenario, domain, tmp_path) as graph:
-        refusals: list[str] = []
-        graph.node.create_subscription(
-            DiagnosticArray,
-            names.rejected(names.CONTROLLER),
-            lambda m: refusals.append(m.status[0].message),
-            qos.user_qos(),
-        )
-        thumb: list[WrenchStamped] = []
-        graph.node.create_subscription(
-            WrenchStamped, names.wrench("thumb"), thumb.append, qos.tick_qos()
-        )
+        refusals, thumb = list[DiagnosticArray](), list[WrenchStamped]()
+        hear = graph.node.create_subscription
+        hear(DiagnosticArray, names.rejected(names.CONTROLLER), refusals.append, qos.user_qos())
+        hear(WrenchStamped, names.wrench("thumb"), thumb.append, qos.tick_qos())
         graph.begin()
         graph.wait(lambda: graph.time > 1.5, "the pull")
         force = thumb[-1].wrench.force
@@ -98,7 +90,7 @@ def test_position_servos_keep_the_object_by_normal_forces_also_without_a_control
         assert graph.health["/driver_output"].values["clipped_outputs"] == "0"
         graph.desire([0.0, 0.0, 0.1])
         graph.wait(lambda: refusals, "a refusal")
-        assert "normal forces do not show a load" in refusals[0]
+        assert "normal forces do not show a load" in refusals[0].status[0].message
         graph.processes[names.CONTROLLER].send(signal.SIGSTOP)
         graph.free = True
         graph._act()

@@ -34,7 +34,6 @@ from tactile_hand_ros.verify.recompute import recompute
 
 # Six processes and their libraries start; a machine that does other things too takes its time.
 PATIENCE = 90.0
-BOTH = ("plant", "cockpit")
 NEAR = """
 extends: paper
 description: A target that is nearly reached already.
@@ -45,7 +44,6 @@ targets:
 goal: {position_error: 0.002, rotation_error: 0.02}
 """
 TICKS = 301
-Start = Callable[..., CapturedProcess]
 
 
 @pytest.fixture
@@ -57,7 +55,7 @@ def near(tmp_path: Path) -> Path:
 
 
 @pytest.fixture
-def start(domain: int, tmp_path: Path) -> Iterator[Start]:
+def start(domain: int, tmp_path: Path) -> Iterator[Callable[..., CapturedProcess]]:
     """Return a function that starts orchestrators, which do not outlive the test."""
     with ExitStack() as stack:
 
@@ -76,14 +74,11 @@ def end_of(orchestrator: CapturedProcess) -> int:
 
 
 def latest(tmp_path: Path) -> Path:
-    """Return the folder of the newest run."""
     return tmp_path / "runs" / "latest"
 
 
 def summary_of(tmp_path: Path) -> dict[str, object]:
-    """Read the summary of the newest run."""
-    content: dict[str, object] = json.loads((latest(tmp_path) / "summary.json").read_text())
-    return content
+    return dict(json.loads((latest(tmp_path) / "summary.json").read_text()))
 
 
 def wait_until_running(tmp_path: Path, orchestrator: CapturedProcess) -> None:
@@ -97,13 +92,6 @@ def wait_until_running(tmp_path: Path, orchestrator: CapturedProcess) -> None:
     wait_until(well_under_way, PATIENCE, "a bag that grows")
 
 
-def family(orchestrator: CapturedProcess) -> list[psutil.Process]:
-    """Return all processes that an orchestrator has started, and theirs."""
-    found = psutil.Process(orchestrator.pid).children(recursive=True)
-    assert len(found) >= len(START_ORDER)
-    return found
-
-
 def member(processes: list[psutil.Process], name: str) -> psutil.Process:
     """Return the process that runs an executable."""
     [found] = [p for p in processes if any(Path(word).name == name for word in p.cmdline())]
@@ -111,7 +99,6 @@ def member(processes: list[psutil.Process], name: str) -> psutil.Process:
 
 
 def assert_gone(processes: list[psutil.Process]) -> None:
-    """Insist that all processes end."""
     wait_until(lambda: not any(p.is_running() for p in processes), 20.0, "the end of all")
 
 
@@ -204,7 +191,8 @@ def test_live_offers_a_page_until_ctrl_c(domain, tmp_path):
         members = psutil.Process(live.pid).children(recursive=True)
         stored = (latest(tmp_path) / "parameters").glob("*.yaml")
         files = {file.stem: yaml.safe_load(file.read_text()) for file in stored}
-        plant, cockpit = (next(iter(files[name].values()))["ros__parameters"] for name in BOTH)
+        nodes = (files["plant"], files["cockpit"])
+        plant, cockpit = (next(iter(each.values()))["ros__parameters"] for each in nodes)
         assert plant["speed"] == 1.0 and plant["palm_motion"]
         assert cockpit["bag"] == str(latest(tmp_path).resolve() / "bag")
         live.send(signal.SIGINT)
@@ -283,7 +271,8 @@ def test_ctrl_c_while_libraries_load_is_no_traceback(start, tmp_path):
 def test_death_of_a_node_is_named_and_ends_the_run(start, tmp_path):
     orchestrator = start("--scenario", "paper", "--duration", "600", "--quiet")
     wait_until_running(tmp_path, orchestrator)
-    processes = family(orchestrator)
+    processes = psutil.Process(orchestrator.pid).children(recursive=True)
+    assert len(processes) >= len(START_ORDER)
     member(processes, "force_optimizer").kill()
     assert end_of(orchestrator) == 1
     assert "force_optimizer was ended by SIGKILL" in orchestrator.stderr

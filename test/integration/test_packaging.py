@@ -55,11 +55,8 @@ def copy_sources(target: Path) -> Path:
 
 def installed_config(share: Path) -> list[Path]:
     """List the configuration files of an installation, relative to its config directory."""
-    return sorted(
-        path.relative_to(share / "config")
-        for path in (share / "config").rglob("*")
-        if path.is_file()
-    )
+    config = share / "config"
+    return sorted(path.relative_to(config) for path in config.rglob("*") if path.is_file())
 
 
 class TestPip:

@@ -24,8 +24,6 @@ from tactile_hand_ros.scenario.scenario import Scenario, load_scenario, resolved
 
 PICTURE = "const s = report.scene; s.draw(); return s.renderer.domElement.toDataURL()"
 
-TIPS = "return report.scene.hand.tips.map(({node}) => node.matrixWorld.elements.slice(12, 15))"
-
 
 def save(folder: Path, record: Record, scenario: Scenario) -> Run:
     """Write the bag of a run and open it."""
@@ -55,7 +53,6 @@ def page(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Page]:
 
 @pytest.fixture(scope="module")
 def written(run: Run, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return the report of the run."""
     return write_report(run, tmp_path_factory.mktemp("report"))
 
 
@@ -66,22 +63,19 @@ def report(page: Page, written: Path) -> Page:
     return page
 
 
-OWN = ("file:", "data:", "blob:", "chrome:")
-
-
 def assert_quiet(page: Page) -> None:
     """Insist that the page has no complaint and has loaded nothing but itself.
 
     The start page of a new browser, whose own parts are chrome:, may still be loading.
     """
+    own = ("file:", "data:", "blob:", "chrome:")
     assert page.errors == []
     assert page.requests, "the log of requests is empty, it would not show any"
-    assert [url for url in page.requests if not url.startswith(OWN)] == []
+    assert [url for url in page.requests if not url.startswith(own)] == []
     assert sum(url.startswith("file:") for url in page.requests) == 1
 
 
 def click_on(page: Page, element: object, share: float) -> None:
-    """Click at a share of the width of an element."""
     page.js("arguments[0].scrollIntoView({block: 'center'})", element)
     width = page.js("return arguments[0].clientWidth", element)
     offset = round((share - 0.5) * width)
@@ -132,6 +126,7 @@ def test_it_plays_to_the_end(report: Page) -> None:
 
 def test_seeking_moves_cursors_and_the_hand(report: Page, run: Run) -> None:
     hand = Hand.load("paper")
+    where = "return report.scene.hand.tips.map(({node}) => node.matrixWorld.elements.slice(12, 15))"
     place = """const head = report.charts[0].playhead.getBoundingClientRect().left;
                return head - report.charts[0].plot.over.getBoundingClientRect().left"""
     width = report.js("return report.charts[0].plot.over.clientWidth")
@@ -139,9 +134,8 @@ def test_seeking_moves_cursors_and_the_hand(report: Page, run: Run) -> None:
     for row in (0, 200, 350, 500):
         time = float(run.record.times[row])
         report.js("report.player.seek(arguments[0])", time)
-        tips = report.js(TIPS)
         expected = hand.fingertips(run.record.theta[row]).positions
-        np.testing.assert_allclose(tips, expected, atol=1e-6)
+        np.testing.assert_allclose(report.js(where), expected, atol=1e-6)
         cube = report.js("return report.scene.solid.group.position.toArray()")
         np.testing.assert_allclose(cube, run.record.object_position[row], atol=1e-7)
         assert report.js(place) == pytest.approx(time / 0.5 * width, abs=2.0)

@@ -160,10 +160,9 @@ class Graph:
         self.wait(self._has_readers, "all readers")
 
     def _has_readers(self) -> bool:
-        wanted = Counter(
-            topic for name in list(self.health) for topic in self._ends(name, SUBSCRIPTIONS)
-        )
-        wanted.update(each.topic_name for each in self.node.subscriptions)
+        wanted = Counter(each.topic_name for each in self.node.subscriptions)
+        for name in list(self.health):
+            wanted.update(self._ends(name, SUBSCRIPTIONS).keys())
         ends = [self._ends(self.full(name), PUBLICATIONS) for name in NODES]
         found = {topic: n for end in ends for topic, n in end.items() if topic not in names.OF_ALL}
         return all(ends) and all(count == wanted[topic] for topic, count in found.items())

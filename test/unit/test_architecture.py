@@ -8,10 +8,8 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[2]
 PACKAGE = "tactile_hand_ros"
 SOURCES = sorted((ROOT / PACKAGE).rglob("*.py"))
-SCRIPTS = sorted(path for path in (ROOT / "scripts").iterdir() if path.is_file())
-TESTS = sorted((ROOT / "test").rglob("*.py"))
-TOOLS = [path for top in ("bench", "studies") for path in sorted((ROOT / top).rglob("*.py"))]
-WRITTEN = [*SOURCES, *SCRIPTS, *TESTS, *TOOLS]
+OTHERS = [path for top in ("test", "bench", "studies") for path in (ROOT / top).rglob("*.py")]
+SCRIPTS = [path for path in (ROOT / "scripts").iterdir() if path.is_file()]
 
 # A layer imports from itself and from the tiers above it in this list: data flows down.
 TIERS = (
@@ -37,11 +35,11 @@ TIER = {name: tier for tier, names in enumerate(TIERS) for name in names}
 # The code of a real hand: joints and touch in, torques out. No simulation, no ROS, no clock.
 BLIND = {"hand", "control"}
 PLAIN = BLIND | {"rotations", "cholesky", "errors", "names", "config", "simulation", "closed_loop"}
-BLIND_NODES = ("slip_regulator", "force_optimizer", "manipulation_controller")
+ACTING = ("slip_regulator", "force_optimizer", "manipulation_controller")
+BLIND_NODES = tuple(f"{PACKAGE}.nodes.{name}" for name in ACTING)
 
 
 def label(path: Path) -> str:
-    """Name a file in a message."""
     return str(path.relative_to(ROOT))
 
 
@@ -133,15 +131,13 @@ def test_recordings_are_read_without_rclpy():
 
 def test_controllers_do_not_see_the_ground_truth():
     for name in GRAPH:
-        if layer(name) in BLIND or name.startswith(
-            tuple(f"{PACKAGE}.nodes.{n}" for n in BLIND_NODES)
-        ):
+        if layer(name) in BLIND or name.startswith(BLIND_NODES):
             seen = {layer(module) for module in reachable(name)}
             assert not seen & {"simulation", "scenario", "closed_loop"}, name
             text = (ROOT / name.replace(".", "/")).with_suffix(".py")
             words = text.read_text().lower().replace("_", " ") if text.exists() else ""
             assert "ground truth" not in words, name
-    assert all(f"{PACKAGE}.nodes.{name}" in "".join(GRAPH) for name in BLIND_NODES)
+    assert all(name in "".join(GRAPH) for name in BLIND_NODES)
 
 
 FORBIDDEN = re.compile(
@@ -156,7 +152,7 @@ FORBIDDEN = re.compile(
 
 def test_files_have_a_license_and_neither_leftovers_nor_skips_nor_paths_of_a_machine():
     wrong = []
-    for path in WRITTEN:
+    for path in sorted([*SOURCES, *OTHERS, *SCRIPTS]):
         text = path.read_text()
         licensed = "# SPDX-License-Identifier: Apache-2.0" in text.splitlines()[:2]
         wrong += [] if licensed else [label(path)]

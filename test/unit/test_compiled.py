@@ -5,7 +5,6 @@ import os
 import shutil
 import subprocess
 import sys
-from itertools import product
 from pathlib import Path
 
 import pytest
@@ -34,13 +33,11 @@ CALL = "from tactile_hand_ros.control.outer import outer; print(outer(1.0))"
 def control(tmp_path: Path) -> Path:
     """Write a package of our name with compiled functions in two files; return their folder."""
     root = tmp_path / "tactile_hand_ros"
-    (root / "control").mkdir(parents=True)
-    package = Path(module.__file__).parent
-    shutil.copy(package / "compiled.py", root)
-    (root / "config").mkdir()
-    (root / "config" / "model.py").write_text("Config = flatten = None\n")
     for folder in (root, root / "control", root / "config"):
+        folder.mkdir()
         (folder / "__init__.py").touch()
+    shutil.copy(module.__file__, root / "compiled.py")
+    (root / "config" / "model.py").write_text("Config = flatten = None\n")
     (root / "control" / "outer.py").write_text(OUTER)
     (root / "control" / "inner.py").write_text(INNER.format(constant=1.0))
     return root / "control"
@@ -48,15 +45,9 @@ def control(tmp_path: Path) -> Path:
 
 def run(control: Path, code: str, **environment: str) -> tuple[str, str]:
     """Return the output and warnings of a new process, like another run of a node."""
-    result = subprocess.run(
-        [sys.executable, "-c", code],
-        cwd=control.parents[1],
-        env={**os.environ, **environment},
-        capture_output=True,
-        text=True,
-        check=True,
-        timeout=120,
-    )
+    command, own = [sys.executable, "-c", code], {**os.environ, **environment}
+    options = {"capture_output": True, "text": True, "check": True, "timeout": 120}
+    result = subprocess.run(command, cwd=control.parents[1], env=own, **options)
     return result.stdout.strip(), result.stderr.strip()
 
 
@@ -84,13 +75,19 @@ def test_the_same_source_runs_without_numba(control):
     assert not list(control.parent.rglob("*.nbi"))
 
 
+def test_without_a_place_for_the_cache_it_is_compiled_in_each_process(control):
+    assert run(control, CALL, NUMBA_CACHE_DIR="/proc/nowhere") == ("20.0", "")
+    assert not list(control.parent.rglob("*.nbi"))  # also not beside the sources
+
+
 def test_damaged_files_are_compiled_again(control):
+    """The outer function is compiled anew, and loads the inner one, whose file is damaged too."""
     assert run(control, CALL) == ("20.0", "")
-    for kind, damage in product(("*.nbi", "*.nbc"), (b"", b"not what Numba wrote")):
-        files = list(control.parent.rglob(kind))
-        for file in files:
-            file.write_bytes(damage)
-        assert files and run(control, CALL) == ("20.0", "")
+    for kind in ("*.nbi", "*.nbc"):
+        inner, outer = sorted(control.parent.rglob(kind))
+        inner.write_bytes(b"")
+        outer.write_bytes(b"not what Numba wrote")
+        assert run(control, CALL) == ("20.0", "")
 
 
 def test_it_is_complete_after_a_warm_up_of_these_sources(control):
@@ -158,18 +155,11 @@ def test_after_the_warm_up_nothing_is_compiled_again(tmp_path):
     """A first process may still have to fill the cache; a second one must not."""
 
     def has_all() -> bool:
-        command = [sys.executable, "-c", COVERED]
-        done = subprocess.run(
-            command, cwd=tmp_path, capture_output=True, text=True, check=True, timeout=600
-        )
-        return done.stdout.split(maxsplit=1) == ["True", "{}\n"]
+        command, options = [sys.executable, "-c", COVERED], {"text": True, "timeout": 600}
+        printed = subprocess.check_output(command, cwd=tmp_path, **options)
+        return printed.split(maxsplit=1) == ["True", "{}\n"]
 
     assert has_all() or has_all()
-
-
-def test_without_a_place_for_the_cache_it_is_compiled_in_each_process(control):
-    nowhere = {"NUMBA_CACHE_DIR": "/proc/nowhere"}
-    assert run(control, CALL, **nowhere) == ("20.0", "")
 
 
 def test_waiting_for_the_compiler_can_be_given_up(monkeypatch, capsys):

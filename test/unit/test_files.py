@@ -15,13 +15,9 @@ def test_text_takes_the_place_of_a_file_and_of_a_link_to_one(tmp_path):
     replace_text(link, "two")
     assert (file.read_text(), link.read_text()) == ("one", "two")
     assert not link.is_symlink()
-    assert file.stat().st_mode & 0o777 == 0o666 & ~_umask()
-
-
-def _umask():
     mask = os.umask(0o022)
     os.umask(mask)
-    return mask
+    assert file.stat().st_mode & 0o777 == 0o666 & ~mask
 
 
 def test_a_full_disk_leaves_the_old_text_and_no_draft(tmp_path, small_disk):

@@ -30,10 +30,8 @@ def test_an_unknown_name_is_an_attribute_error():
 
 def test_importing_the_package_loads_nothing_else(tmp_path):
     code = "import sys, tactile_hand_ros; print(*sys.modules)"
-    done = subprocess.run(
-        [sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=True
-    )
-    loaded = done.stdout.split()
+    command = [sys.executable, "-c", code]
+    loaded = subprocess.check_output(command, cwd=tmp_path, text=True).split()
     assert {"numpy", "rclpy", "pydantic"}.isdisjoint(loaded)
     assert [name for name in loaded if name.startswith("tactile_hand_ros.")] == []
 
@@ -59,12 +57,9 @@ def test_a_law_is_given_as_a_class_or_by_name():
         simulate("paper", SHORT, law=int)
 
 
-WITH_EXAMPLES = ("front_door", "sweep", "run.run", "run.metrics", "control.laws")
-
-
 def test_the_examples_in_docstrings_give_their_results(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     write_record(Path("runs/latest/bag"), simulate("paper", SHORT).record)
-    for name in WITH_EXAMPLES:
+    for name in ("front_door", "sweep", "run.run", "run.metrics", "control.laws"):
         found = doctest.testmod(importlib.import_module(f"tactile_hand_ros.{name}"))
         assert found.attempted and not found.failed, name

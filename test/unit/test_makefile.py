@@ -15,19 +15,18 @@ ROOT = Path(__file__).resolve().parents[2]
 def tree(tmp_path: Path) -> Path:
     """Return a prepared tree with a command that prints its arguments."""
     tree = tmp_path / "it's a tree"
-    bin_folder = tree / ".venv" / "bin"
-    bin_folder.mkdir(parents=True)
+    environment, locked = tree / ".venv", tree / "requirements" / "locked"
+    sources = "setup.py setup.cfg package.xml pyproject.toml"
+    for folder in (environment / "bin", locked):
+        folder.mkdir(parents=True)
     shutil.copy(ROOT / "Makefile", tree)
-    (tree / "requirements" / "locked").mkdir(parents=True)
-    for name in ("setup.py", "setup.cfg", "package.xml", "pyproject.toml"):
-        (tree / name).touch()
-    for name in ("run.txt", "studies.txt"):
-        (tree / "requirements" / "locked" / name).touch()
-    (tree / ".venv" / ".created").write_text(f"{tree}/.venv\n")
-    (tree / ".venv" / ".run").touch()
-    (tree / ".venv" / ".sources").write_text("setup.py setup.cfg package.xml pyproject.toml \n")
-    (tree / ".venv" / ".package").touch()
-    command = bin_folder / "tactile-hand"
+    for file in (*map(tree.joinpath, sources.split()), locked / "run.txt", locked / "studies.txt"):
+        file.touch()
+    (environment / ".created").write_text(f"{environment}\n")
+    (environment / ".run").touch()
+    (environment / ".sources").write_text(f"{sources} \n")
+    (environment / ".package").touch()
+    command = environment / "bin" / "tactile-hand"
     command.write_text("#!/bin/sh\nprintf '<%s>' \"$@\"\n")
     command.chmod(0o755)
     return tree

@@ -24,7 +24,6 @@ from tactile_hand_ros.cli.app import EXAMPLES, app
 from tactile_hand_ros.cli.app import main as tactile_hand
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
 from tactile_hand_ros.closed_loop.record import Record
-from tactile_hand_ros.config.paths import config_directory
 from tactile_hand_ros.config.plain_yaml import parse_changes
 from tactile_hand_ros.run.result import columns
 from tactile_hand_ros.scenario.scenario import Scenario, load_scenario, resolved
@@ -80,7 +79,6 @@ def agree(line: str, other: str) -> bool:
 
 
 def check_agreement(redrawn: str, text: str) -> None:
-    """Check that a page shows the output of its commands."""
     pairs = zip(redrawn.splitlines(), text.splitlines(), strict=True)
     stale = "\n".join(ours for ours, theirs in pairs if not agree(ours, theirs))
     assert not stale, f"run `make docs-figures`:\n{stale}"
@@ -167,21 +165,6 @@ def test_the_python_of_a_page_runs(name, tmp_path, monkeypatch, capsys):
         assert (tmp_path / "report.html").is_file()
 
 
-@pytest.fixture
-def real_hand(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
-    """Return the page, with its YAML and a matching URDF in the current folder."""
-    text = page("docs/how-to/real-hand.md")
-    description = (config_directory() / "hands" / "paper.urdf").read_text("utf-8")
-    for number, name in enumerate(("thumb", "index", "middle"), start=1):
-        description = description.replace(f"finger_{number}", name)
-    description = description.replace('ixx="0.0077"', 'ixx="0.0042"')  # Table I's is impossible
-    (tmp_path / "my_hand.urdf").write_text(description)
-    hand = fenced(page("docs/tutorials/your-own-hand.md"), "yaml")
-    (tmp_path / "my_hand.yaml").write_text(hand)
-    monkeypatch.chdir(tmp_path)
-    return text
-
-
 def fenced(text: str, kind: str) -> str:
     """Return the first block of a kind."""
     found = re.search(rf"^```{kind}\n(.*?)^```$", text, re.M | re.S)
@@ -199,8 +182,9 @@ def test_a_hand_of_ones_own_is_tried_by_the_commands_of_its_page(own_hand, monke
     assert np.isfinite(record.true_positions).all()
 
 
-def test_the_drivers_loop_of_the_page_holds_the_joints(real_hand):
+def test_the_drivers_loop_of_the_page_holds_the_joints(own_hand, monkeypatch):
     """Its code as printed, for ten ticks without a command."""
+    monkeypatch.chdir(own_hand)
     ticks = iter(range(10))
     applied: list[Any] = []
     told: list[str] = []
@@ -218,7 +202,7 @@ def test_the_drivers_loop_of_the_page_holds_the_joints(real_hand):
         "report": told.append,
     }
     with pytest.raises(StopIteration):
-        exec(fenced(real_hand, "python"), driver)
+        exec(fenced(page("docs/how-to/real-hand.md"), "python"), driver)
     assert len(applied) == 10 and all(np.isfinite(torque).all() for torque in applied)
     assert (applied[-1] != 0.0).any() and told[-1].endswith("; the joints are held")
 
@@ -252,7 +236,7 @@ def test_the_site_builds_without_warnings_and_needs_no_network(site):
     assert "<math" in pages["overview"] and "front_door.simulate" in pages["api"]
     assert "tactile-hand run" in pages["commands"]
     # The notebook was executed.
-    assert pages["paper"].count("data:image/png") == 5 and "object dropped" in pages["paper"]
+    assert pages["paper"].count("data:image/png") == 4 and "a contact is lost" in pages["paper"]
 
 
 def commands() -> list[tuple[str, str]]:

@@ -89,10 +89,9 @@ def test_sine_and_cosine_of_a_rotation_are_exact_each_for_itself(size):
                                rtol=1e-15)  # fmt: skip
 
 
-AXES = [*np.eye(3), (3, -4, 12), (0, 3, -4), (4, 0, -3), (1, -2, 2), (2, 6, -9)]
-
-
-@pytest.mark.parametrize("axis", AXES)
+@pytest.mark.parametrize(
+    "axis", [*np.eye(3), (3, -4, 12), (0, 3, -4), (4, 0, -3), (1, -2, 2), (2, 6, -9)]
+)
 def test_of_both_axes_of_a_half_turn_the_first_component_is_positive(axis):
     unit = np.array(axis) / np.linalg.norm(axis)
     rotation = 2.0 * np.outer(unit, unit) - np.eye(3)

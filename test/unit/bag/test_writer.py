@@ -30,7 +30,6 @@ def payload(text: str) -> bytes:
 
 
 def add_string(writer: BagWriter, topic: str = "/chatter") -> int:
-    """Add a channel of type String."""
     return writer.add_channel(topic, STRING, offers=[OFFER], type_hash=STRING_HASH)
 
 
@@ -126,9 +125,8 @@ def test_any_bytes_and_times_come_back(tmp_path_factory, messages, compression):
     got = [message[:3] for message in read_messages(folder)]
     expected = [("/b" if second else "/a", time, data) for second, data, time, _ in messages]
     for topic, found in read_topics(folder, ["/a", "/b"]).items():
-        assert [(topic, *pair) for pair in zip(*found, strict=True)] == [
-            each for each in got if each[0] == topic
-        ]
+        of_topic = [each for each in got if each[0] == topic]
+        assert [(topic, *pair) for pair in zip(*found, strict=True)] == of_topic
     assert sorted(got) == sorted(expected)
     assert [time for _, time, _ in got] == sorted(time for _, time, _ in got)
 

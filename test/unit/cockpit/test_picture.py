@@ -79,11 +79,15 @@ def test_a_row_has_the_numbers_of_a_report(picture: Picture) -> None:
     assert (shown(picture, "push") == 0.0).all() and np.isnan(shown(picture, "palm")).all()
 
 
-def test_rows_wait_for_a_topic_that_still_comes_and_not_for_a_dead_one(
-    picture: Picture, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    now = [100.0]
-    monkeypatch.setattr("time.monotonic", lambda: now[0])
+@pytest.fixture
+def now(monkeypatch: pytest.MonkeyPatch) -> list[float]:
+    """Return the time of the wall clock."""
+    shown = [100.0]
+    monkeypatch.setattr("time.monotonic", lambda: shown[0])
+    return shown
+
+
+def test_rows_wait_for_a_topic_that_still_comes_and_not_for_a_dead_one(picture, now) -> None:
     first, late = batch(2), batch(4, 6)
     touch = {names.CONTACTS: late.pop(names.CONTACTS)}
     assert take(picture, first) + take(picture, late) == []
@@ -99,11 +103,7 @@ def test_rows_wait_for_a_topic_that_still_comes_and_not_for_a_dead_one(
     assert np.isfinite(shown(picture, "theta")[-1]).all()
 
 
-def test_after_a_pause_a_row_waits_for_all_topics_again(
-    picture: Picture, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    now = [100.0]
-    monkeypatch.setattr("time.monotonic", lambda: now[0])
+def test_after_a_pause_a_row_waits_for_all_topics_again(picture, now) -> None:
     watch = Watch()
     take(picture, batch(2))
     assert list(watch.step(picture)) == []
@@ -117,12 +117,8 @@ def test_after_a_pause_a_row_waits_for_all_topics_again(
     assert [event[1] for event in watch.step(picture)] == ["detection"]
 
 
-def test_many_ticks_become_few_rows_with_the_newest_among_them(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_many_ticks_become_few_rows_with_the_newest_among_them(monkeypatch, picture) -> None:
     monkeypatch.setattr("tactile_hand_ros.cockpit.picture.KEPT", 10)
-    record = random_record(1)
-    picture = Picture(record.finger_names, record.joint_names, 0)
     for start in range(4):
         assert take(picture, batch(*range(100 * start + 1, 100 * start + 21))) == []
         assert picture.total == (start + 1) * ROWS_PER_BATCH

@@ -8,14 +8,7 @@ from typing import Annotated, Literal
 import pytest
 from pydantic import Field, ValidationError, model_validator
 
-from tactile_hand_ros.config.model import (
-    Config,
-    flatten,
-    from_flat,
-    leaves,
-    param,
-    validate,
-)
+from tactile_hand_ros.config.model import Config, flatten, from_flat, leaves, param, validate
 from tactile_hand_ros.config.plain_yaml import parse_changes, read_yaml
 from tactile_hand_ros.errors import ConfigurationError
 

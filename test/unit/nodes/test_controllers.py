@@ -27,22 +27,18 @@ from tactile_hand_ros.nodes.slip_regulator import SlipRegulatorNode
 from tactile_hand_ros.ros import qos
 from tactile_hand_ros.ros.diagnostics import OK, WARN
 from tactile_hand_ros.ros.endpoints import TickFailedError
-from tactile_hand_ros.ros.messages import (
-    JointCodec,
-    Joints,
-    WrenchCodec,
-    stamp_to_ns,
-)
+from tactile_hand_ros.ros.messages import JointCodec, Joints, WrenchCodec, stamp_to_ns
 from tactile_hand_ros.scenario.scenario import load_scenario
 from tactile_hand_ros.simulation.plant import Plant
 
-TICK = 2_000_000
+TICK, DAY = 2_000_000, 86_400_000_000_000  # ns
 PLANT = Plant(load_scenario("paper").plant)
 STATE, HAND = PLANT.state, PLANT.hand
 JOINTS = Joints(STATE.theta, STATE.rates, STATE.torque)
 FRACTIONS = np.tile([0.0, 1.0 / 3.0, 0.0], (3, 1))
 PUSH = np.array([[0.3, 2.0, -0.1], [0.1, 3.0, 0.2], [-0.2, 2.5, 0.4]])
 FRICTION = np.array([0.5, 0.6, 0.7])
+CENTRE = STATE.contacts.positions.mean(axis=0)
 ODD = Contacts(STATE.contacts.positions + 0.5, STATE.contacts.rotations)
 ALL = [SlipRegulatorNode, ForceOptimizerNode, ManipulationControllerNode]
 
@@ -77,6 +73,7 @@ def torque(sent: dict[str, list[bytes]], at: int = -1) -> tuple[int, Any]:
 @pytest.mark.parametrize("kind", ALL)
 def test_an_answer_is_published_with_its_tick_and_repeated_to_the_byte(here, kind):
     node = here.make(kind)
+    kinds = {each.topic.lstrip("/"): each.kind for each in node.tick_publishers}
     sent = tapped(node)
     node.on_repeat()
     assert not any(sent.values()) and facts(node)["ticks"] == "0"
@@ -84,16 +81,11 @@ def test_an_answer_is_published_with_its_tick_and_repeated_to_the_byte(here, kin
     before = {topic: list(messages) for topic, messages in sent.items()}
     node.on_repeat()
     for topic, messages in sent.items():
-        stamp = deserialize_message(before[topic][0], _kind(node, topic)).header.stamp
+        stamp = deserialize_message(before[topic][0], kinds[topic]).header.stamp
         assert stamp_to_ns(stamp) == TICK and len(before[topic]) == 1
         repeats = [] if topic == names.AUXILIARY_POSE else before[topic]
         assert messages == before[topic] + repeats
     assert facts(node)["ticks"] == "1" and "latency_max_us" in facts(node)
-
-
-def _kind(node: Any, topic: str) -> Any:
-    (kind,) = (each.kind for each in node.tick_publishers if each.topic == f"/{topic}")
-    return kind
 
 
 @pytest.mark.parametrize("kind", ALL)
@@ -117,9 +109,7 @@ def test_ticks_that_start_over_find_nothing_of_before(here, kind):
         (ManipulationControllerNode, "law.k_p", 77.0, names.CONTROLLER),
     ],
 )
-def test_a_changed_parameter_is_published_with_the_first_tick_that_it_changes(
-    here, kind, name, value, key
-):
+def test_a_changed_parameter_is_published_with_its_first_tick(here, kind, name, value, key):
     node = here.make(kind)
     topic = names.accepted_parameters(key)
     here.receive(ParameterEvent, topic, qos.latched_qos(qos.USER_DEPTH))
@@ -191,17 +181,14 @@ def test_the_haptic_device_gets_levels_every_20_ms_of_the_ticks(here):
 
 @pytest.mark.parametrize("force", [-1e-9, 40.0001, np.nan, np.inf])
 def test_no_k_f_beyond_its_limits_is_published(here, force, monkeypatch):
-    monkeypatch.setattr("tactile_hand_ros.control.slip.regulator.SlipRegulator.step", _of(10.0))
+    core = "tactile_hand_ros.control.slip.regulator.SlipRegulator.step"
+    monkeypatch.setattr(core, lambda *_: 10.0)
     node = here.make(SlipRegulatorNode, maximum=40.0)
     sent = tapped(node)
-    monkeypatch.setattr("tactile_hand_ros.control.slip.regulator.SlipRegulator.step", _of(force))
+    monkeypatch.setattr(core, lambda *_: force)
     with pytest.raises(TickFailedError, match="is outside 0 to 40.0 N"):
         tick(node, 0)
     assert not any(sent.values()) and counts(node, "errors") == {"ticks": 1}
-
-
-def _of(value: float) -> Any:
-    return lambda *_: value
 
 
 def test_a_late_regulator_uses_the_ticks_that_it_does_not_answer(here):
@@ -330,8 +317,8 @@ def test_where_time_is_known_to_wait_every_answer_is_sent(here):
     here.add(node)
     sent = tapped(node)
     for stamp in range(4):
-        changes = {"contacts": ODD} if stamp == 3 else {}
-        assert not tick(node, stamp * TICK, **changes).do_not_send
+        contacts = ODD if stamp == 3 else STATE.contacts
+        assert not tick(node, stamp * TICK, contacts=contacts).do_not_send
     node.on_repeat()  # as after a pause
     assert not tick(node, 4 * TICK, contacts=ODD).do_not_send
     assert len(sent["joint_command"]) == 6
@@ -369,9 +356,8 @@ def test_a_pose_is_published_when_it_becomes_the_target_with_that_tick(here):
     rejected = names.rejected(names.CONTROLLER)
     here.receive(DiagnosticArray, rejected)
     tick(node, 0)
-    position = STATE.contacts.positions.mean(axis=0) + [0.0, 0.01, 0.0]
-    day = 86_400_000_000_000
-    for stamp in (day + TICK, 3 * TICK):
+    position = CENTRE + [0.0, 0.01, 0.0]
+    for stamp in (DAY + TICK, 3 * TICK):
         here.send(names.DESIRED_POSE, pose_message(position, np.eye(3), stamp))
     (refused,) = here.messages(rejected, 1)
     assert "ahead of the ticks" in refused.status[0].message
@@ -386,23 +372,18 @@ def test_a_pose_is_published_when_it_becomes_the_target_with_that_tick(here):
 
 def test_a_pose_of_another_clock_is_rejected_at_the_first_tick_at_the_latest(here):
     node = here.make(ManipulationControllerNode)
-    position, day = STATE.contacts.positions.mean(axis=0), 86_400_000_000_000
-    for stamp in (day + 5 * TICK, day + 5 * TICK + 1):
-        receive(node, pose_message(position, np.eye(3), stamp))
+    receive(node, DAY + 5 * TICK, DAY + 5 * TICK + 1)
     assert counts(node, "rejected") == {}  # the time of the ticks is not known yet
     tick(node, 5 * TICK)
     assert counts(node, "rejected") == {names.DESIRED_POSE: 1}
-    for stamp in (day + 5 * TICK, day + 5 * TICK + 1):
-        receive(node, pose_message(position, np.eye(3), stamp))
+    receive(node, DAY + 5 * TICK, DAY + 5 * TICK + 1)
     assert counts(node, "rejected") == {names.DESIRED_POSE: 2}
 
 
 def test_of_too_many_poses_for_later_the_earliest_are_dropped(here):
     node = here.make(ManipulationControllerNode)
     here.receive(PoseStamped, names.ACCEPTED_POSE)
-    position = STATE.contacts.positions.mean(axis=0)
-    for number in range(MAX_WAITING + 3):
-        receive(node, pose_message(position, np.eye(3), (number + 1) * TICK))
+    receive(node, *(number * TICK for number in range(1, MAX_WAITING + 4)))
     assert facts(node)["dropped_poses"] == "3"
     for number in range(6):
         tick(node, number * TICK)
@@ -410,29 +391,27 @@ def test_of_too_many_poses_for_later_the_earliest_are_dropped(here):
     assert stamps == [4 * TICK, 5 * TICK]
 
 
-def receive(node: Any, message: PoseStamped) -> None:
-    """Send a desired pose to the node."""
+def receive(node: Any, *stamps: int, offset: float = 0.0) -> None:
+    """Pass desired poses to the node, off the centre of the contacts by so many m."""
     (found,) = (s for s in node.subscriptions if s.topic_name == f"/{names.DESIRED_POSE}")
-    found.callback(serialize_message(message))
+    for stamp in stamps:
+        message = pose_message(CENTRE + [0.0, offset, 0.0], np.eye(3), stamp)
+        found.callback(serialize_message(message))
 
 
 def test_ticks_that_start_over_forget_all_poses_but_those_sent_meanwhile(here):
     node = here.make(ManipulationControllerNode)
     here.receive(PoseStamped, names.ACCEPTED_POSE)
-    centre = STATE.contacts.positions.mean(axis=0)
-
-    def desire(offset: float) -> None:
-        receive(node, pose_message(centre + [0.0, offset, 0.0], np.eye(3), 0))
 
     def answers() -> list[list[float]]:
         return [list(tick(node, stamp * TICK).torque) for stamp in (0, 1)]
 
     still = answers()
-    desire(0.05)
+    receive(node, 0, offset=0.05)
     pulled = list(tick(node, 2 * TICK).torque)
     node.on_restart()
     assert answers() == still and pulled not in still
-    desire(0.01)
+    receive(node, 0, offset=0.01)
     node.on_restart()
     assert answers() != still
     poses = here.messages(names.ACCEPTED_POSE, 2)
@@ -481,10 +460,9 @@ def test_services_change_the_controller_and_report_the_result(here):
 
 
 def test_forces_are_not_observed_where_the_controller_does_not_receive_them(here):
+    unobserved = {"law.observer.time": 0.0}
     for composed in (False, True):
-        node = here.make(
-            ManipulationControllerNode, composed=composed, **{"law.observer.time": 0.0}
-        )
+        node = here.make(ManipulationControllerNode, composed=composed, **unobserved)
         (result,) = node.set_parameters([Parameter("law.observer.time", value=0.25)])
         assert result.successful == composed
         assert ("does not subscribe to forces" in result.reason) != composed

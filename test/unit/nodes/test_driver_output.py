@@ -47,9 +47,7 @@ class Driver:
         for each in (self.joints, *self.senders):
             here.wait(each.get_subscription_count, each.topic_name)
 
-    def command(
-        self, late: int = 0, torque: Any = TORQUE, names: Any = JOINTS, by: int = 0
-    ) -> None:
+    def command(self, late: int = 0, torque=TORQUE, names=JOINTS, by: int = 0) -> None:
         self.senders[by].publish(joint_message(names, TICK - late, effort=torque))
         self.sent += 1
 
@@ -72,9 +70,7 @@ class Driver:
 
 
 @pytest.mark.parametrize("message", ["joint_state", "float64_array", FLOATS])
-def test_a_driver_receives_positions_in_its_type(
-    here: Process, tmp_path: Path, message: str
-) -> None:
+def test_a_driver_receives_positions_in_its_type(here, tmp_path, message) -> None:
     choice = {"output": "position", "message": message}
     kind, _ = driver_message(DriverConfig(**choice), JOINTS)
     driver = Driver(here, tmp_path, 0.1, kind, stiffness=2.0, **choice)

@@ -48,21 +48,15 @@ def parameters(config: Config) -> dict[str, Any]:
     ],
 )
 def test_a_node_subscribes_to_what_it_is_configured_to_use(scenario, changes, more, here):
-    wanted = load_scenario(scenario, changes)
-    configs: dict[str, Config] = {
-        names.PLANT: wanted.plant.changed({"autostart": False}),
-        names.SENSOR: wanted.tactile_sensor,
-        names.REGULATOR: wanted.slip_regulator,
-        names.OPTIMIZER: wanted.force_optimizer,
-        names.CONTROLLER: wanted.manipulation_controller,
-    }
+    wanted = load_scenario(scenario, {**changes, "plant.autostart": False})
+    each_tick_qos = tick_publisher_qos()
     for kind in MEMBERS:
         name = _name(kind)
-        node = here.make(kind, composed=False, **parameters(configs[name]))
+        node = here.make(kind, composed=False, **parameters(wanted.node_config(name)))
         received = {each.topic_name[1:] for each in node.subscriptions}
         read = {link.topic for link in each_tick() if name in link.subscribers}
         assert received == read | ASKED.get(name, set()) | more.get(name, set())
-        sent = {each.topic_name[1:] for each in node.publishers if _is_tick(each)}
+        sent = {p.topic_name[1:] for p in node.publishers if p.qos_profile == each_tick_qos}
         assert sent == {link.topic for link in each_tick() if link.publisher == name}
 
 
@@ -70,16 +64,9 @@ def _name(kind: type) -> str:
     return kind.__module__.split(".")[2]
 
 
-def _is_tick(publisher: Any) -> bool:
-    return bool(publisher.qos_profile == tick_publisher_qos())
-
-
 def test_composed_nodes_receive_only_what_users_send(here):
-    received = {
-        each.topic_name[1:]
-        for kind in MEMBERS
-        for each in here.make(
-            kind, **({"cones": True} if "optimizer" in _name(kind) else {})
-        ).subscriptions
-    }
+    received = set[str]()
+    for kind in MEMBERS:
+        options = {"cones": True} if "optimizer" in _name(kind) else {}
+        received |= {each.topic_name[1:] for each in here.make(kind, **options).subscriptions}
     assert received == {names.DESIRED_POSE, names.USER_GRASP_FORCE, names.PUSH}

@@ -7,7 +7,6 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
 
 import pytest
 from rclpy.context import Context
@@ -16,7 +15,6 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.serialization import serialize_message
 from std_msgs.msg import Int64
 
-from bench.processes import isolated_domain
 from tactile_hand_ros.bag.metadata import offered_qos
 from tactile_hand_ros.bag.reader import open_bag
 from tactile_hand_ros.bag.schema import MessageDefinition
@@ -73,9 +71,7 @@ def play(bag: Path, context: Context) -> Iterator[Callable[..., Player]]:
         node = Node("replay", context=context, start_parameter_services=False)
         stack.callback(node.destroy_node)
 
-        def _play(
-            path: Path = bag, topics: Any = (".*",), exclude: Any = (), name: str = ""
-        ) -> Player:
+        def _play(path: Path = bag, topics=(".*",), exclude=(), name: str = "") -> Player:
             reader = stack.enter_context(open_bag(path))
             return Player(Replay(node, reader, TopicSelection(topics, exclude), name))
 
@@ -159,8 +155,7 @@ def test_publishers_offer_what_all_recorded_ones_offered(offers, reliability, du
         ("--namespace=1x", "the namespace is '1x'"),
     ],
 )
-def test_what_cannot_be_replayed_is_refused_in_a_sentence(bag, capsys, argument, text):
-    with isolated_domain():
-        assert main(["replay", str(bag), argument]) == 2
+def test_what_cannot_be_replayed_is_refused_in_a_sentence(bag, domain, capsys, argument, text):
+    assert main(["replay", str(bag), argument]) == 2
     *usage, said = capsys.readouterr().err.splitlines()
     assert text in said and len(usage) in (0, 3)

@@ -30,7 +30,6 @@ from tactile_hand_ros.nodes.slip_regulator import GripState, RegulatorReport
 from tactile_hand_ros.ros.diagnostics import ERROR, OK, WARN, Diagnostics
 
 CONTACTS = three_faces()
-CONFIG = ForceOptimizerConfig()
 
 
 def values(diagnostics: Diagnostics) -> dict[str, str]:
@@ -38,8 +37,8 @@ def values(diagnostics: Diagnostics) -> dict[str, str]:
 
 
 def optimum() -> OptimalForces:
-    """Return a solution of the optimizer."""
-    return ForceOptimizer(CONFIG, 3).solve(CONTACTS)._replace(solve_time=0.999999)
+    optimizer = ForceOptimizer(ForceOptimizerConfig(), 3)
+    return optimizer.solve(CONTACTS)._replace(solve_time=0.999999)
 
 
 def test_ticks_without_an_answer_are_a_fault_with_their_reason_until_there_is_one():

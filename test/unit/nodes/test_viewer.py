@@ -46,10 +46,8 @@ class Stage:
     """A viewer, its input and its markers."""
 
     def __init__(self, here: Process) -> None:
-        one_face = [Parameter("object.friction", value=0.5)]
-        self.viewer = ViewerNode(
-            context=here.context, namespace="/left", parameter_overrides=one_face
-        )
+        one_face = {"parameter_overrides": [Parameter("object.friction", value=0.5)]}
+        self.viewer = ViewerNode(context=here.context, namespace="/left", **one_face)
         self.here, self._pictures = here, 0
         here.receive(MarkerArray, "/left/markers")
         here.wait(lambda: self.viewer.peers()["publications /left/markers"] == 1)
@@ -121,9 +119,7 @@ def test_a_best_effort_publisher_is_shown_and_wakes_nobody(stage: Stage) -> None
     assert not any(each.event_handlers for each in stage.viewer.subscriptions)
 
 
-def test_with_tf2_contacts_and_object_are_transforms(
-    stage: Stage, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_with_tf2_contacts_and_object_are_transforms(stage: Stage, monkeypatch: Any) -> None:
     """tf2_msgs is not among the wheels: a message with the same field replaces it."""
     sent: list[Any] = []
     assert stage.viewer._tf is None

@@ -26,7 +26,6 @@ def shells(**programs: str) -> Processes:
 
 
 def started(processes: Processes, folder: Path, *names: str) -> None:
-    """Start programs and wait until they are ready."""
     for name in names:
         log = folder / f"{name}.log"
         processes.start(name, log)
@@ -133,9 +132,7 @@ def test_nothing_outlives_a_killed_orchestrator_and_the_recorder_finishes(tmp_pa
 @pytest.mark.parametrize(
     ("prefix", "used"), [(executable_directory().parents[1], True), ("/opt/other", False)]
 )
-def test_ros2_run_starts_a_node_where_it_finds_the_same_package(
-    prefix, used, tmp_path, monkeypatch
-):
+def test_ros2_run_is_used_where_it_finds_the_same_package(prefix, used, tmp_path, monkeypatch):
     """A script replaces `ros2`, which has no wheel, and does the same as `ros2 run`."""
     ros2 = tmp_path / "ros2"
     ros2.write_text(

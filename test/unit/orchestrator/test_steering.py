@@ -230,26 +230,23 @@ SCENARIO = load_scenario("paper").model_copy(update={"targets": TARGETS, "user_f
 
 
 @pytest.fixture
-def make() -> Iterator[Callable[[str], Node]]:
+def make(there: Context) -> Iterator[Callable[[str], Node]]:
     """Return a function that makes nodes in a domain without the hands of other tests."""
     made: list[Node] = []
 
     def _make(name: str) -> Node:
-        made.append(Node(name, context=own, start_parameter_services=False))
+        made.append(Node(name, context=there, start_parameter_services=False))
         return made[-1]
 
-    with isolated_domain() as number, ros_context(domain=number) as own:
-        yield _make
-        for node in made:
-            node.destroy_node()
+    yield _make
+    for node in made:
+        node.destroy_node()
 
 
 def test_targets_and_the_newest_force_that_is_due_arrive(make):
-    hand, heard, forces = make("hand"), list[Any](), list[float]()
+    hand, heard, forces = make("hand"), list[Any](), list[Float64]()
     hand.create_subscription(PoseStamped, "desired_pose", heard.append, qos.user_qos())
-    hand.create_subscription(
-        Float64, "user_grasp_force", lambda message: forces.append(message.data), qos.user_qos()
-    )
+    hand.create_subscription(Float64, "user_grasp_force", forces.append, qos.user_qos())
     steering = Steering(make("orchestrator"), SCENARIO, lambda: None)
     assert not steering.is_ready
     wait_until(lambda: list(steering.facts.values()) == ["1", "1"])
@@ -260,7 +257,7 @@ def test_targets_and_the_newest_force_that_is_due_arrive(make):
         wait_until(lambda: len(heard) == 2)
         for second, expected in ((-1, []), (0, [1.0]), (0.9, [1.0]), (3, [1.0, 3.0]), (4, [1, 3])):
             steering.send_forces(round(second * 1e9))
-            wait_until(lambda e=expected: forces == e)
+            wait_until(lambda e=expected: [message.data for message in forces] == e)
     assert [stamp_to_ns(pose.header.stamp) for pose in heard] == [0, 1_500_000_000]
     for pose, target in zip(heard, TARGETS, strict=True):
         got, sent = PoseCodec(nan_allowed=True).decode(serialize_message(pose))[1], target.target()

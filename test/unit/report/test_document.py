@@ -199,9 +199,7 @@ def test_a_dropped_object_is_the_headline(tmp_path: Path) -> None:
         ("shape: box", "shape: sphere", "", 614),
     ],
 )
-def test_of_another_machine_or_version_shows_what_fits(
-    old: str, new: str, words: str, corners: int, tmp_path: Path
-) -> None:
+def test_of_another_machine_or_version_shows_what_fits(old, new, words, corners, tmp_path) -> None:
     """A scenario of another version of the package may have any content."""
     text = resolved(load_scenario("paper")).replace(old, new)
     run = Run(write_record(tmp_path / "bag", random_record(5), custom_data={"scenario": text}))

@@ -53,16 +53,15 @@ def test_every_record_can_be_drawn(record: Record) -> None:
 
 
 def test_lines_are_the_numbers_of_the_record() -> None:
-    record = GOOD
-    rates, position, _, forces = motion_figure(record).axes
+    rates, position, _, forces = motion_figure(GOOD).axes
     for joint, line in enumerate(rates.lines):
-        np.testing.assert_array_equal(line.get_ydata(), record.rates[:, joint])
+        np.testing.assert_array_equal(line.get_ydata(), GOOD.rates[:, joint])
     for axis in range(3):
         actual, target = position.lines[2 * axis : 2 * axis + 2]
-        np.testing.assert_array_equal(actual.get_ydata(), record.auxiliary_position[:, axis])
-        np.testing.assert_array_equal(target.get_ydata(), record.desired_position[:, axis])
-    np.testing.assert_array_equal(forces.lines[0].get_ydata(), record.forces[1:, 0, 1])
-    expected = record.grasp_force * record.optimal_forces[:, 0, 1]
+        np.testing.assert_array_equal(actual.get_ydata(), GOOD.auxiliary_position[:, axis])
+        np.testing.assert_array_equal(target.get_ydata(), GOOD.desired_position[:, axis])
+    np.testing.assert_array_equal(forces.lines[0].get_ydata(), GOOD.forces[1:, 0, 1])
+    expected = GOOD.grasp_force * GOOD.optimal_forces[:, 0, 1]
     np.testing.assert_array_equal(forces.lines[1].get_ydata(), expected)
 
 

@@ -44,9 +44,8 @@ def test_of_ten_seconds_it_is_small_and_written_whole(run: Run, tmp_path: Path) 
         write_report(run)
 
 
-def test_the_command_writes_it_beside_the_bag(
-    run: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+@pytest.mark.usefixtures("run")
+def test_the_command_writes_it_beside_the_bag(tmp_path, capsys) -> None:
     assert cli.main(["report", str(tmp_path)]) == 0
     assert (tmp_path / "report.html").is_file()
     out = capsys.readouterr().out

@@ -104,9 +104,8 @@ def test_how_complete_a_bag_is() -> None:
 
 
 def test_what_has_a_meaning_in_markdown_or_to_rich_is_text(capsys) -> None:
-    assert (
-        tables.markdown(["x", "y"], [["a|b", "c"]]) == "| x | y |\n| --- | --- |\n| a\\|b | c |\n"
-    )
+    text = tables.markdown(["x", "y"], [["a|b", "c"]])
+    assert text == "| x | y |\n| --- | --- |\n| a\\|b | c |\n"
     print_table("[bold]", ["x"], [["[red]"]])
     assert {"[bold]", "[red]"} <= set(capsys.readouterr().out.split())
 

@@ -4,7 +4,6 @@
 import itertools
 import signal
 import sys
-import textwrap
 import threading
 from collections.abc import Callable, Iterator
 from typing import Any
@@ -259,11 +258,9 @@ sys.exit(run_node(Busy, arguments))
         (signal.SIGTERM, "spinning", "idle"),
     ],
 )
-def test_a_signal_ends_a_node_quietly_and_one_that_waits_takes_no_processor_time(
-    tmp_path, number, phase, load
-):
+def test_a_signal_ends_a_node_quietly_and_one_that_waits_is_idle(tmp_path, number, phase, load):
     path = tmp_path / "program.py"
-    path.write_text(textwrap.dedent(PROGRAM))
+    path.write_text(PROGRAM)
     with isolated_domain(), CapturedProcess([sys.executable, str(path), load]) as process:
         process.wait_for_output(phase)
         if load == "idle":

@@ -44,9 +44,7 @@ class Ear:
         self.waiting: list[Callable[[], None]] = []
         self.rejected: list[tuple[str, str]] = []
 
-    def subscribe(
-        self, kind: Any, topic: str, callback: Callable[..., None], **options: Any
-    ) -> None:
+    def subscribe(self, kind: Any, topic: str, callback: Any, **options: Any) -> None:
         assert options["raw"]
         self.callbacks[topic] = callback
 
@@ -137,9 +135,22 @@ class Ear:
         return values.get("fault inputs", "")
 
 
+def complete(node: Ear, *ticks: int) -> None:
+    """Send complete ticks [ms]."""
+    for tick in ticks:
+        node.joints(tick)
+        node.others(tick)
+
+
+def complete_together(node: Ear, *ticks: int) -> None:
+    """Send complete ticks [ms] that wait until all are read."""
+    node.reads_late = True
+    complete(node, *ticks)
+    node.has_read()
+
+
 @pytest.fixture
 def ear() -> Ear:
-    """Return an ear with a test clock."""
     return Ear()
 
 
@@ -162,8 +173,7 @@ def test_a_tick_has_everything_in_its_place(joints_first):
 
 def test_in_lockstep_a_tick_is_waited_for_however_long_it_takes(ear):
     """The plant resends it repeatedly; the answer is that of a fast machine."""
-    ear.joints(2)
-    ear.others(2)
+    complete(ear, 2)
     for _ in range(50):
         ear.joints(4)
         ear.now += 100 * MS
@@ -173,8 +183,7 @@ def test_in_lockstep_a_tick_is_waited_for_however_long_it_takes(ear):
 
 
 def test_joints_that_stay_alone_for_the_time_out_are_passed_on_with_the_reason(ear):
-    ear.joints(2)
-    ear.others(2)
+    complete(ear, 2)
     assert ear.kinds() == [("tick", 2)]
     for stamp in range(4, 504, 4):
         ear.joints(stamp)
@@ -234,98 +243,78 @@ def test_no_tick_is_answered_after_one_that_was_answered_blindly(ear):
 
 
 def test_ticks_that_begin_anew_are_answered_although_later_ones_were_blindly(ear):
-    ear.joints(2)
-    ear.others(2)
+    complete(ear, 2)
     assert ear.kinds() == [("tick", 2)]
     ear.go_blind(4)
     ear.others(0)
     ear.joints(0)
     assert ear.kinds() == ["restart", ("tick", 0)]
-    ear.joints(2)
-    ear.others(2)
+    complete(ear, 2)
     assert ear.kinds() == [("tick", 2)]
 
 
-def test_without_a_time_out_an_incomplete_tick_is_never_passed_on():
-    patient = Ear()
-    patient.inputs = TickInputs(
-        patient, (streams.joints(HAND.joint_names), streams.grasp_force()), patient
-    )
+def test_without_a_time_out_an_incomplete_tick_is_never_passed_on(ear):
+    declared = (streams.joints(HAND.joint_names), streams.grasp_force())
+    ear.inputs = TickInputs(ear, declared, ear)
     for stamp in range(0, 5000, 4):
-        patient.joints(stamp)
-    assert patient.heard == [] and patient.fault == ""
-    patient.others(5000)
-    patient.joints(5000)
-    [(kind, stamp, (joints, grasp_force))] = patient.heard
+        ear.joints(stamp)
+    assert ear.heard == [] and ear.fault == ""
+    ear.others(5000)
+    ear.joints(5000)
+    [(kind, stamp, (joints, grasp_force))] = ear.heard
     assert (kind, stamp, grasp_force) == ("tick", 5000 * MS, 5010.0)
     np.testing.assert_array_equal(joints.theta, THETA + 5000)
-
-
-def complete(node: Ear, *ticks: int) -> None:
-    """Send complete ticks [ms]."""
-    for tick in ticks:
-        node.joints(tick)
-        node.others(tick)
 
 
 @pytest.mark.parametrize("observes", [True, False])
 def test_of_ticks_that_wait_together_some_are_skipped_or_only_observed(observes):
     node = Ear(observes=observes)
     complete(node, 16)
-    node.reads_late = True
-    complete(node, 17, 18, 19)
-    node.has_read()
+    complete_together(node, 17, 18, 19)
     expected = [("skipped", 17), ("tick", 18), ("tick", 19)]
     assert node.kinds() == [("tick", 16), *(expected if observes else expected[1:])]
     values = {pair.key: pair.value for pair in node.diagnostics.status().values}
     assert values["ticks_left_out"] == "1"
 
 
-def test_an_answer_is_not_repeated_when_a_newer_one_is_about_to_be_given():
-    node = Ear()
-    complete(node, 4)
-    node.reads_late = True
-    complete(node, 6)
-    node.joints(6)
-    assert node.kinds() == [("tick", 4)]
-    node.has_read()
-    node.others(6)
-    node.joints(6)
-    assert node.kinds() == [("tick", 6), "repeat"]
+def test_an_answer_is_not_repeated_when_a_newer_one_is_about_to_be_given(ear):
+    complete(ear, 4)
+    ear.reads_late = True
+    complete(ear, 6)
+    ear.joints(6)
+    assert ear.kinds() == [("tick", 4)]
+    ear.has_read()
+    ear.others(6)
+    ear.joints(6)
+    assert ear.kinds() == [("tick", 6), "repeat"]
 
 
-def test_a_tick_that_cannot_be_answered_is_reported_and_the_others_are_answered():
-    node = Ear()
-    node.bad = 24 * MS
-    complete(node, 16)
-    node.reads_late = True
-    complete(node, 24, 28)
-    node.has_read()
-    assert node.kinds() == [("tick", 16), ("tick", 28)]
-    assert node.rejected == [(names.JOINT_STATES, "no answer to this tick")]
+def test_a_tick_that_cannot_be_answered_is_reported_and_the_others_are_answered(ear):
+    ear.bad = 24 * MS
+    complete(ear, 16)
+    complete_together(ear, 24, 28)
+    assert ear.kinds() == [("tick", 16), ("tick", 28)]
+    assert ear.rejected == [(names.JOINT_STATES, "no answer to this tick")]
 
 
 def test_a_tick_is_answered_although_a_skipped_one_before_it_fails():
     node = Ear(observes=True)
     node.bad = 17 * MS
     complete(node, 16)
-    node.reads_late = True
-    complete(node, 17, 18, 19)
-    node.has_read()
+    complete_together(node, 17, 18, 19)
     assert node.kinds() == [("tick", 16), ("tick", 18), ("tick", 19)]
     assert node.rejected == [("ticks", "KeyError('left')")]
 
 
-def test_ticks_that_wait_are_forgotten_when_the_stamps_start_over():
+def test_ticks_that_wait_are_forgotten_when_the_stamps_start_over(ear):
     """And the first one is not skipped, as if it followed the previous ones."""
-    node = Ear()
-    complete(node, 20)
-    node.reads_late = True
-    complete(node, 22, 0, 32)
-    assert node.kinds() == [("tick", 20), "restart"]
-    for callback in node.waiting:
+    complete(ear, 20)
+    ear.reads_late = True
+    complete(ear, 22, 0, 32)
+    assert ear.kinds() == [("tick", 20), "restart"]
+    for callback in ear.waiting:
         callback()
-    assert node.kinds() == [("tick", 0), ("tick", 32)]
+    assert ear.kinds() == [("tick", 0), ("tick", 32)]
 
 
 def test_while_two_senders_send_the_trigger_no_tick_is_answered(ear):
@@ -346,9 +335,7 @@ def test_while_two_senders_send_the_trigger_no_tick_is_answered(ear):
 
 def test_ticks_before_the_last_are_reported_until_the_stamps_have_caught_up(ear):
     """The clock of a driver may be set back; more than a second is a restart."""
-    for stamp in (2000, 1950, 1998, 2002, 900):
-        ear.joints(stamp)
-        ear.others(stamp)
+    complete(ear, 2000, 1950, 1998, 2002, 900)
     kinds = [kind for kind, *_ in ear.heard]
     assert kinds == ["tick", "tick", "restart", "tick"]
     texts = [text for topic, text in ear.rejected if topic == names.JOINT_STATES]

@@ -18,7 +18,6 @@ from std_msgs.msg import Float64
 from std_srvs.srv import SetBool, Trigger
 from support.nodes import Process, counts, facts
 
-from bench.processes import isolated_domain
 from tactile_hand_ros import names
 from tactile_hand_ros.config.model import Config, param
 from tactile_hand_ros.errors import MessageError, TactileHandError, UnsafeOutputError
@@ -26,7 +25,6 @@ from tactile_hand_ros.ros import qos
 from tactile_hand_ros.ros.diagnostics import ERROR, OK, WARN
 from tactile_hand_ros.ros.endpoints import described, location, refusal
 from tactile_hand_ros.ros.messages import read_number
-from tactile_hand_ros.ros.middleware import ros_context
 from tactile_hand_ros.ros.node import TactileNode
 
 HERE = Path(__file__).name
@@ -234,20 +232,14 @@ def test_a_subscription_has_a_quality_of_service_of_its_own(node):
     assert given.depth == 7 and sensor.qos_profile.depth == plain.qos_profile.depth
 
 
-def test_a_sensor_subscription_may_be_made_best_effort():
+def test_a_sensor_subscription_may_be_made_best_effort(here):
     override = "qos_overrides./left/x.subscription.reliability:=best_effort"
-    with (
-        isolated_domain() as domain,
-        ros_context(["--ros-args", "-p", override], domain) as context,
-    ):
-        here = Process(context)
-        node = Example(context=context)
-        here.add(node)
-        best_effort = QoSProfile(depth=5, reliability=ReliabilityPolicy.BEST_EFFORT)
-        here.send("/left/x", Float64(data=1.0), best_effort)
-        here.wait(lambda: node.got == [1.0], "the message")
-        assert qos.tick_qos().reliability == ReliabilityPolicy.RELIABLE
-        here.close()
+    node = Example(context=here.context, cli_args=["--ros-args", "-p", override])
+    here.add(node)
+    best_effort = QoSProfile(depth=5, reliability=ReliabilityPolicy.BEST_EFFORT)
+    here.send("/left/x", Float64(data=1.0), best_effort)
+    here.wait(lambda: node.got == [1.0], "the message")
+    assert qos.tick_qos().reliability == ReliabilityPolicy.RELIABLE
 
 
 @pytest.mark.parametrize(
@@ -259,9 +251,7 @@ def test_a_sensor_subscription_may_be_made_best_effort():
         (qos.user_qos, 100, DurabilityPolicy.VOLATILE),
     ],
 )
-def test_profiles_promise_what_the_documentation_says_and_are_new_each_time(
-    make, depth, durability
-):
+def test_profiles_are_as_the_documentation_says_and_new_each_time(make, depth, durability):
     profile = make()
     assert profile.reliability == ReliabilityPolicy.RELIABLE
     assert profile.history == HistoryPolicy.KEEP_LAST

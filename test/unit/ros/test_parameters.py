@@ -4,20 +4,17 @@
 import enum
 import math
 import sys
-from collections.abc import Iterator
+from contextlib import ExitStack
 from typing import Literal
 
 import pytest
 import rclpy
 from rclpy.parameter import Parameter
 
-from bench.processes import isolated_domain
 from tactile_hand_ros.config.model import Config, param
 from tactile_hand_ros.errors import ConfigurationError
 from tactile_hand_ros.ros.middleware import ros_context
 from tactile_hand_ros.ros.parameters import ConfigParameters, to_params_yaml
-
-Type = Parameter.Type
 
 
 class Law(str, enum.Enum):
@@ -52,28 +49,19 @@ class Example(Config):
             raise ValueError("k_p is above k_max, raise k_max first")
 
 
-@pytest.fixture(scope="module")
-def domain() -> Iterator[int]:
-    with isolated_domain() as number:
-        yield number
-
-
 @pytest.fixture
 def declare(domain, monkeypatch):
     """Declare the example on a node with some ROS arguments."""
-    opened = []
+    with ExitStack() as stack:
 
-    def start(*arguments, on_change=lambda _: None, namespace="left"):
-        monkeypatch.setattr(sys, "argv", ["plant", "--ros-args", *arguments])
-        context = ros_context(["--ros-args", *arguments], domain)
-        node = rclpy.create_node("plant", namespace=namespace, context=context.__enter__())
-        opened.append((context, node))
-        return node, ConfigParameters(node, Example, on_change)
+        def start(*arguments, on_change=lambda _: None, namespace="left"):
+            monkeypatch.setattr(sys, "argv", ["plant", "--ros-args", *arguments])
+            context = stack.enter_context(ros_context(["--ros-args", *arguments], domain))
+            node = rclpy.create_node("plant", namespace=namespace, context=context)
+            stack.callback(node.destroy_node)
+            return node, ConfigParameters(node, Example, on_change)
 
-    yield start
-    for context, node in opened:
-        node.destroy_node()
-        context.__exit__(None, None, None)
+        yield start
 
 
 def set_one(node, name, value):
@@ -136,9 +124,8 @@ def test_a_written_file_gives_the_same_configuration(declare, tmp_path, namespac
 
 
 def test_simulated_time_and_quality_of_service_are_no_unknown_parameters(declare):
-    node, _ = declare(
-        "-p", "use_sim_time:=true", "-p", "qos_overrides./x.subscription.reliability:=best_effort"
-    )
+    best_effort = "qos_overrides./x.subscription.reliability:=best_effort"
+    node, _ = declare("-p", "use_sim_time:=true", "-p", best_effort)
     assert node.get_parameter("use_sim_time").value is True
 
 

@@ -35,21 +35,19 @@ def test_an_executable_that_is_not_there_is_named():
         executable_path("no_such_node")
 
 
-def test_nodes_of_two_domains_do_not_meet_and_listen_on_the_loopback_address_only():
-    with isolated_domain() as one, isolated_domain() as two:
-        with ros_context(domain=one) as here, ros_context(domain=two) as there:
-            node = rclpy.create_node("a", context=here)
-            friend = rclpy.create_node("b", context=here)
-            stranger = rclpy.create_node("c", context=there)
-            publisher = node.create_publisher(Float64, "x", 10)
-            friend.create_subscription(Float64, "x", print, 10)
-            stranger.create_subscription(Float64, "x", print, 10)
-            wait_until(lambda: publisher.get_subscription_count() > 0)
-            assert publisher.get_subscription_count() == 1
-            connections = psutil.Process().net_connections(kind="udp")
-            assert {each.laddr.ip for each in connections if each.laddr.port > 0} == {"127.0.0.1"}
-            for each in (node, friend, stranger):
-                each.destroy_node()
+def test_nodes_of_two_domains_do_not_meet_and_listen_on_the_loopback_address_only(context):
+    with isolated_domain() as domain, ros_context(domain=domain) as elsewhere:
+        contexts = {"a": context, "b": context, "c": elsewhere}
+        nodes = [rclpy.create_node(name, context=contexts[name]) for name in contexts]
+        publisher = nodes[0].create_publisher(Float64, "x", 10)
+        for node in nodes[1:]:
+            node.create_subscription(Float64, "x", print, 10)
+        wait_until(lambda: publisher.get_subscription_count() > 0)
+        assert publisher.get_subscription_count() == 1
+        connections = psutil.Process().net_connections(kind="udp")
+        assert {each.laddr.ip for each in connections if each.laddr.port > 0} == {"127.0.0.1"}
+        for node in nodes:
+            node.destroy_node()
 
 
 def test_waiting_in_vain_says_for_what():
@@ -85,10 +83,8 @@ def test_all_that_a_process_has_started_ends_with_it_even_if_it_ignores_signals(
     )
     with CapturedProcess([sys.executable, "-c", program]) as process:
         assert process.wait() == 0
-        child = int(process.stdout)
-        wait_until(
-            lambda: not psutil.pid_exists(child) or psutil.Process(child).status() == "zombie"
-        )
+        pid = int(process.stdout)
+        wait_until(lambda: not psutil.pid_exists(pid) or psutil.Process(pid).status() == "zombie")
         sent: list[Any] = []
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr(os, "killpg", lambda *_: sent.append(_))

@@ -7,11 +7,7 @@ import threading
 from pathlib import Path
 
 from tactile_hand_ros.ros.diagnostics import OK, Diagnostics
-from tactile_hand_ros.ros.scheduling import (
-    raise_priority,
-    report_scheduling,
-    yield_while_resending,
-)
+from tactile_hand_ros.ros.scheduling import raise_priority, report_scheduling, yield_while_resending
 
 
 def _policies_of_thread(name):

@@ -30,8 +30,8 @@ def record(paper):
     return copy.deepcopy(paper)
 
 
-@pytest.fixture(scope="module")
-def first_grasp():
+@pytest.fixture
+def still():
     """Return forty 10 ms ticks during which the paper's hand keeps its first grasp."""
     state = plant().state
     seen = state.touch
@@ -46,11 +46,6 @@ def first_grasp():
     record.slip_evidence[:] = 0.1, 0.3, 0.2
     record.grip[:] = STICK
     return record
-
-
-@pytest.fixture
-def still(first_grasp):
-    return copy.deepcopy(first_grasp)
 
 
 def lines(record):

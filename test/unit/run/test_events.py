@@ -91,9 +91,7 @@ def test_alarms_of_all_fingers_are_counted(record):
     ("row", "force", "count"),
     [(33, 12.0, 1), (58, 12.0, 1), (59, 12.0, 0), (40, 10.2, 0), (40, 10.21, 1)],
 )
-def test_a_reaction_is_a_rise_by_two_percent_within_a_quarter_of_a_second(
-    record, row, force, count
-):
+def test_a_reaction_is_a_rise_by_two_percent_within_a_quarter_second(record, row, force, count):
     record.grip[33:38, 0] = ContactState.SLIP
     record.grasp_force[row:] = force
     found = [each for each in events(record) if each.kind == "reaction"]

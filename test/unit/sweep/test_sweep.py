@@ -23,7 +23,6 @@ WORDS += ["--runs", "24", "--jobs", "1"]
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return the folder of a small sweep."""
     out = tmp_path_factory.mktemp("sweeps") / "sweep"
     assert main([*WORDS, "--out", str(out)]) == 0
     return out

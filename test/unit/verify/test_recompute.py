@@ -71,10 +71,9 @@ def write(folder: Path, scenario: Scenario, record: Record, *changes: tuple[int,
 
 
 def test_same_configuration_gives_the_same_bits(gravity, tmp_path):
-    scenario, record = gravity
-    result = recompute(write(tmp_path, scenario, record))
+    result = recompute(write(tmp_path, *gravity))
     assert [c for c in result.comparisons if not c.same] == []
-    assert all(c.compared == len(record) > 100 for c in result.comparisons)
+    assert all(c.compared == len(gravity[1]) > 100 for c in result.comparisons)
 
 
 def test_first_tick_that_differs_is_named(paper, tmp_path):
@@ -97,9 +96,7 @@ def test_the_regulator_feels_also_the_ticks_that_it_was_too_slow_to_answer(gravi
     assert grasp.same and grasp.compared == len(record) - 3
 
 
-def without_touch(
-    scenario: Scenario, record: Record, held: tuple[int, ...], silent: tuple[int, ...]
-) -> Record:
+def without_touch(scenario: Scenario, record: Record, held: tuple, silent: tuple) -> Record:
     """Return a run without the forces of some ticks, during which it held or did not answer."""
     out = copy.deepcopy(record)
     regulator = SlipRegulator(scenario.slip_regulator, 3)
@@ -109,9 +106,8 @@ def without_touch(
     answers = ("forces", "grasp_force", "friction", "slip_evidence", "grip", "command")
     for row, stamp in enumerate(record.stamps.tolist()):
         theta, rates, forces = record.theta[row], record.rates[row], record.forces[row]
-        contacts = Contacts.from_poses(
-            record.contact_positions[row], record.contact_quaternions[row]
-        )
+        touch = record.contact_positions[row], record.contact_quaternions[row]
+        contacts = Contacts.from_poses(*touch)
         if row in held + silent:
             for name in (*answers, "auxiliary_position", "auxiliary_quaternion"):
                 getattr(out, name)[row] = np.nan
@@ -152,9 +148,8 @@ def test_cones_of_a_shadow_follow_the_friction_that_it_learns_itself(tmp_path):
 def test_a_bag_cannot_import_a_law(tmp_path, monkeypatch, capsys):
     """A foreign bag may name any code; only laws named by the user are imported."""
     (tmp_path / "mine.yaml").write_text("extends: paper\nduration: 0.1\nlaw: foreign_law:Mine")
-    (tmp_path / "foreign_law.py").write_text(
-        "from tactile_hand_ros.control.laws import OptimalLaw as Mine"
-    )
+    law = "from tactile_hand_ros.control.laws import OptimalLaw as Mine"
+    (tmp_path / "foreign_law.py").write_text(law)
     scenario = load_scenario(str(tmp_path / "mine.yaml"))
     run = write(tmp_path / "run", scenario, ClosedLoop(scenario).run())
     OWN_LAWS.clear()  # as in another process

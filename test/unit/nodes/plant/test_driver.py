@@ -51,7 +51,6 @@ class Rig:
         here.wait(lambda: all(s.get_subscription_count() for s in self._senders), "the plant")
 
     def send(self, *ticks: int, sender: int = 0) -> None:
-        """Send commands for ticks."""
         for tick in ticks:
             stamp = tick * self.node.config.tick
             self._senders[sender].publish(COMMAND.encode(stamp, np.full(9, 0.01)))
@@ -86,7 +85,6 @@ class Rig:
 
     @property
     def now(self) -> int:
-        """The present tick."""
         return int(facts(self.node)["tick_ns"]) // self.node.config.tick
 
     def returns(self) -> None:
@@ -106,7 +104,6 @@ class Rig:
         self.here.wait(lambda: int(facts(self.node)["held_ticks"]) > last + more, "held ticks")
 
     def ticks(self) -> list[int]:
-        """Return the received ticks."""
         found = self.here.messages(names.JOINT_STATES, 0)
         return [stamp_to_ns(m.header.stamp) // self.node.config.tick for m in found]
 
@@ -128,11 +125,8 @@ def test_in_lockstep_each_answer_is_a_tick_and_other_commands_change_nothing(mak
     rig.clock.now += 0.0005
     rig.send(0, 0)  # answered already
     now = rig.answer(1)
-    assert (now["answered_ns"], now["time_s"], now["conflicting_commands"]) == (
-        "2000000",
-        "0.004",
-        "0",
-    )
+    assert (now["answered_ns"], now["time_s"]) == ("2000000", "0.004")
+    assert now["conflicting_commands"] == "0"
     assert (now["latency_p50_us"], now["latency_max_us"]) == ("500", "1500")
     assert now["ticks"] == "3"  # including the first, which was published before its answer
     assert rig.ticks()[-2:] == [1, 2]
@@ -340,9 +334,7 @@ def test_a_speed_holds_the_next_tick_back_until_it_is_due(make: Callable[..., Ri
     assert facts(rig.node)["resent_ticks"] == "0"
 
 
-def test_pushes_arrive_and_those_of_another_frame_are_rejected(
-    here: Process, make: Callable[..., Rig]
-) -> None:
+def test_pushes_arrive_and_those_of_another_frame_are_rejected(here, make) -> None:
     rig = make()
     push = WrenchStamped()
     push.wrench.force.z = 2.0

@@ -13,7 +13,6 @@ TICK = 1_000_000
 
 
 def pace():
-    """Return a pace and its clock."""
     hands = SimpleNamespace(now=0)
     return Pace(TICK, clock=lambda: hands.now), hands
 

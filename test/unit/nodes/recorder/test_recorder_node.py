@@ -138,9 +138,8 @@ def test_what_publishers_offer_and_the_hash_of_their_type_are_in_the_bag(stage):
             for topic, publishers in made.items()
         )
     )
-    stage.spin_until(
-        lambda: all(p.get_subscription_count() for each in made.values() for p in each)
-    )
+    every = [publisher for each in made.values() for publisher in each]
+    stage.spin_until(lambda: all(each.get_subscription_count() for each in every))
     for publisher in (*made["mixed"], *made["sensor"]):
         publisher.publish(Int64(data=2))
     stage.spin_until(lambda: stage.report()["messages"] == "4")
@@ -225,7 +224,6 @@ def test_next_to_a_hand_the_bytes_of_its_publishers_are_taken_from_them(stage):
 
 
 def end_writer() -> None:
-    """Kill the process that writes the bag."""
     children = psutil.Process(os.getpid()).children()
     (writer,) = (each for each in children if "writer_process" in " ".join(each.cmdline()))
     writer.send_signal(signal.SIGKILL)
