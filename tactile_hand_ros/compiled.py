@@ -170,7 +170,7 @@ def _compiler() -> Callable[[Any], Any]:
         made, chosen = jit(function), numba.config.CACHE_DIR
         numba.config.CACHE_DIR = place = _cache_of(function.__module__)
         with contextlib.suppress(OSError, RuntimeError):  # no writable directory for the result
-            os.makedirs(place, exist_ok=True)  # else Numba would take another one
+            Path(place).mkdir(parents=True, exist_ok=True)  # else Numba takes another one
             made._cache = Cache(function)
         numba.config.CACHE_DIR = chosen
         return made

@@ -27,17 +27,10 @@ TARGET = np.array([-0.1, 0.2, 0.4])
 def reference_of(world, layout):
     """Return the reference for a plant, and its state at the start."""
     config, hand, state = world.config, world.hand, world.state
-    reference = Reference(
-        World(
-            hand.description,
-            [f"finger_{i}_tip" for i in (1, 2, 3)],
-            hand.radii,
-            config.object.mass,
-            np.diag(config.object.inertia),
-            np.array(config.gravity),
-            FACES[layout],
-        )
-    )
+    tips = [f"finger_{i}_tip" for i in (1, 2, 3)]
+    fingers = hand.description, tips, hand.radii
+    body = config.object.mass, np.diag(config.object.inertia), np.array(config.gravity)
+    reference = Reference(World(*fingers, *body, FACES[layout]))
     quaternion = Rotation.from_matrix(state.rotation).as_quat()
     start = State(state.theta, np.zeros(9), state.position, quaternion, np.zeros(3), np.zeros(3))
     return reference, start
@@ -110,14 +103,8 @@ def test_gravity_push_and_unequal_inertia_move_as_the_reference(layout):
     """An open-loop swing with everything at once, in small steps."""
     step, wrench = 1e-4, np.array([0.3, -0.2, 0.4, 0.01, 0.02, -0.01])
     push = Disturbance(force=tuple(wrench[:3]), torque=tuple(wrench[3:]))
-    world = plant(
-        step,
-        layout=layout,
-        gravity=(0.5, 0.0, -2.0),
-        object__mass=0.2,
-        object__inertia=(0.001, 0.002, 0.003),
-        disturbances=[push],
-    )
+    body = {"object__mass": 0.2, "object__inertia": (0.001, 0.002, 0.003)}
+    world = plant(step, layout=layout, gravity=(0.5, 0.0, -2.0), disturbances=[push], **body)
     reference, start = reference_of(world, layout)
     torque = torque_for(world, 4.0 * world.state.contacts.normals * [[1.0], [1.0], [1.5]])
     times = np.linspace(0.0, 0.15, 4)

@@ -9,27 +9,20 @@ from support.exact import best_forces
 from support.grasps import contacts_at, grasps
 
 from tactile_hand_ros.control.grasp import collinearity_margin
-from tactile_hand_ros.control.optimizer.force_optimizer import (
-    ForceOptimizer,
-    ForceOptimizerConfig,
-)
+from tactile_hand_ros.control.optimizer.force_optimizer import ForceOptimizer, ForceOptimizerConfig
 
 weights = st.lists(st.floats(0.5, 20.0), min_size=15, max_size=15)  # of up to five contacts
-
-
-def optimizer(contacts, values, minimum=0.0):
-    k = len(contacts.positions)
-    config = ForceOptimizerConfig(weights=values[: 3 * k], minimum_normal=minimum)
-    return ForceOptimizer(config, k)
 
 
 @settings(max_examples=150)
 @given(grasps(), weights, st.sampled_from([0.0, 0.0, 0.05]))
 def test_agrees_with_trying_every_set_of_active_bounds(contacts, values, minimum):
-    expected = best_forces(contacts, np.array(values[: contacts.positions.size]), minimum)
+    values = values[: contacts.positions.size]
+    expected = best_forces(contacts, np.array(values), minimum)
     # Beyond this the grasp hardly balances at all, and no method knows whether it does.
     assume(expected is not None and np.abs(expected).max() < 100.0)
-    found = optimizer(contacts, values, minimum).solve(contacts)
+    config = ForceOptimizerConfig(weights=values, minimum_normal=minimum)
+    found = ForceOptimizer(config, len(contacts.positions)).solve(contacts)
     assert found.ok, found.reason
     assert found.residual < 1e-9
     np.testing.assert_allclose(found.forces, expected, atol=1e-7 * np.abs(expected).max())

@@ -3,16 +3,15 @@
 
 import numpy as np
 import pytest
-from joblib import Parallel, delayed
 from support.late import SECONDS, run_late, run_with_late_commands
+from support.outcomes import InParallel
 
 from tactile_hand_ros.scenario.scenario import load_scenario
 
 
 @pytest.fixture(scope="module")
 def outcomes():
-    work = Parallel(n_jobs=-1)
-    return dict(zip(SECONDS, work(delayed(run_late)(name) for name in SECONDS), strict=True))
+    return InParallel(run_late, {name: (name,) for name in SECONDS})
 
 
 @pytest.mark.parametrize("name", SECONDS)
@@ -30,8 +29,8 @@ SHORTER = {"pull": {"duration": 3.0}, "gravity": {"duration": 3.5}}
 @pytest.mark.parametrize("name", SHORTER)
 def test_commands_that_are_late_now_and_then_are_no_slip(name):
     """By 1 to 3 ticks: the jerks of the torques once raised the grasp force to its limit."""
-    runs = [(name, SHORTER[name], seed) for seed in (None, 1)]
-    found = Parallel(n_jobs=-1)(delayed(run_with_late_commands)(*run) for run in runs)
-    (_, in_time, _), (is_held, grasp_force, slid) = found
+    runs = {seed: (name, SHORTER[name], seed) for seed in (None, 1)}
+    found = InParallel(run_with_late_commands, runs)
+    (_, in_time, _), (is_held, grasp_force, slid) = found[None], found[1]
     assert is_held and slid < 1e-3
     assert grasp_force <= 1.2 * in_time

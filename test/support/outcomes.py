@@ -28,13 +28,19 @@ def run_with_failing_skin(name: str, finger: int, fault: str, begins: float, end
 
 def with_failing_skin(loop: ClosedLoop, finger: int, fault: str, first: int) -> Record:
     """Run a loop to its end and return the record; the skin of a finger fails at a tick."""
-    hand, ticks = loop.plant.hand, loop.scenario.ticks
-    record, skin = Record.empty(ticks, hand.finger_names, hand.joint_names), loop.chain.sensor
-    faults = ["none"] * hand.fingers
+    skin, faults = loop.chain.sensor, ["none"] * loop.plant.hand.fingers
     faults[finger] = fault
+    failing = skin.config.model_copy(update={"faults": faults})
+    return run_with(loop, {first: lambda: skin.configure(failing)})
+
+
+def run_with(loop: ClosedLoop, events: dict[int, Callable[[], Any]]) -> Record:
+    """Run a loop to its end and return the record; each event happens before its tick."""
+    hand, ticks = loop.plant.hand, loop.scenario.ticks
+    record = Record.empty(ticks, hand.finger_names, hand.joint_names)
     for row in range(ticks):
-        if row == first:
-            skin.configure(skin.config.model_copy(update={"faults": faults}))
+        if row in events:
+            events[row]()
         loop.tick(record, row)
     return record
 

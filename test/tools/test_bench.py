@@ -12,7 +12,6 @@ from bench.result import Measurement
 from bench.wire import each_tick, rate
 from bench.written import TickMessages, written_calls
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
-from tactile_hand_ros.closed_loop.record import Record
 from tactile_hand_ros.scenario.scenario import NODES, load_scenario
 
 
@@ -61,9 +60,7 @@ def test_a_run_that_is_refused_is_an_error_with_its_reason():
 
 def test_the_loop_writes_each_message_of_a_tick():
     loop = ClosedLoop(load_scenario("paper"))
-    record = Record.empty(1, loop.plant.hand.finger_names, loop.plant.hand.joint_names)
-    loop.tick(record, 0)
-    messages = TickMessages(record)
+    messages = TickMessages(loop.run(1))
     written = (*messages.of(0), *messages.carried(0, loop.regulator.carried))
     assert {topic for topic, *_ in written} == {link.topic for link in each_tick()}
 

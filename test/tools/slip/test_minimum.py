@@ -7,24 +7,15 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from support.grasps import contacts_at
 
 from studies.slip.minimum import SIDES, minimum_grasp_force
-from tactile_hand_ros.control.contact import Contacts, contact_frame
 from tactile_hand_ros.control.grasp import net_wrench
 
 EXACT = 1.0 / math.cos(math.pi / SIDES)  # how much a pyramid may ask for above a cone
-
-
-def grasp(*pairs: tuple[list[float], list[float]]) -> Contacts:
-    """Return contacts at points with normals."""
-    frames = [contact_frame(np.array(normal) / np.linalg.norm(normal)) for _, normal in pairs]
-    return Contacts(np.array([point for point, _ in pairs]), np.array(frames))
-
-
-OPPOSED = grasp(
-    ([0.1, 0.02, 0.0], [-1.0, 0.0, 0.0]),
-    ([0.1, -0.02, 0.0], [-1.0, 0.0, 0.0]),
-    ([-0.1, 0.0, 0.0], [1.0, 0.0, 0.0]),
+OPPOSED = contacts_at(
+    [[0.1, 0.02, 0.0], [0.1, -0.02, 0.0], [-0.1, 0.0, 0.0]],
+    [[-1.0, 0.0, 0.0], [-1.0, 0.0, 0.0], [1.0, 0.0, 0.0]],
 )
 
 
@@ -58,11 +49,10 @@ def test_a_lost_contact_carries_nothing():
 def test_no_more_than_any_forces_inside_the_cones(seed, mu):
     """Forces inside the cones carry their own wrench, so the minimum is not above theirs."""
     random = np.random.default_rng(seed)
-    contacts = grasp(*((random.normal(size=3).tolist(), random.normal(size=3)) for _ in range(3)))
+    contacts = contacts_at(*random.normal(size=(2, 3, 3)))
     normal, angle = random.uniform(0.1, 5.0, 3), random.uniform(0.0, 2.0 * np.pi, 3)
     side = mu * normal * random.uniform(0.0, 1.0, 3)
     forces = np.stack([side * np.cos(angle), normal, side * np.sin(angle)], axis=1)
-    minimum = minimum_grasp_force(
-        contacts, net_wrench(contacts.positions, contacts.rotations, forces), mu
-    )
+    wrench = net_wrench(contacts.positions, contacts.rotations, forces)
+    minimum = minimum_grasp_force(contacts, wrench, mu)
     assert 0.0 <= minimum <= normal.sum() * EXACT * (1 + 1e-9)

@@ -37,11 +37,9 @@ def run() -> Record:
 
 def made_up(run: Record) -> Record:
     """Return a copy of a run in which nothing ever slides and k_f stays."""
-    still = run.part(slice(None))
-    still = replace(still, true_sliding=np.zeros_like(run.true_sliding))
-    still = replace(still, true_slid=np.zeros_like(run.true_slid))
-    still = replace(still, grip=np.ones_like(run.grip))
-    return replace(still, grasp_force=np.full_like(run.grasp_force, 5.0))
+    still = {name: np.zeros_like(getattr(run, name)) for name in ("true_sliding", "true_slid")}
+    still |= {"grip": np.ones_like(run.grip), "grasp_force": np.full_like(run.grasp_force, 5.0)}
+    return replace(run, **still)
 
 
 def measured(record: Record) -> dict[str, float]:

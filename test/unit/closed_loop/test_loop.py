@@ -61,9 +61,8 @@ def test_the_record_is_complete_and_consistent():
     # A perfect skin reports the truth.
     np.testing.assert_array_equal(record.contact_positions, record.true_positions)
     np.testing.assert_array_equal(record.forces, record.true_forces)
-    np.testing.assert_allclose(
-        record.auxiliary_position, record.contact_positions.mean(axis=1), atol=1e-15
-    )
+    centroids = record.contact_positions.mean(axis=1)
+    np.testing.assert_allclose(record.auxiliary_position, centroids, atol=1e-15)
     np.testing.assert_array_equal(record.desired_position, [[-0.1, 0.2, 0.4]] * 50)
 
 
@@ -105,11 +104,10 @@ def test_other_hands_hold_and_turn_other_objects(tmp_path, joints):
     assert missing.magnitude() < 5e-3
     carried = Rotation.from_quat(record.object_quaternion[-1]).as_rotvec()
     np.testing.assert_allclose(carried, [0.0, 0.0, 0.05], atol=0.02)
-    np.testing.assert_allclose(record.optimal_forces[-1, :, 1].sum(), 1.0, atol=1e-9)
-    assert record.optimal_forces[-1, :, 1].min() > 0.5 / len(joints)
-    np.testing.assert_allclose(
-        record.true_forces[-1, :, 1], 10.0 * record.optimal_forces[-1, :, 1], atol=0.1
-    )
+    optimal, pressed = record.optimal_forces[-1, :, 1], record.true_forces[-1, :, 1]
+    np.testing.assert_allclose(optimal.sum(), 1.0, atol=1e-9)
+    assert optimal.min() > 0.5 / len(joints)
+    np.testing.assert_allclose(pressed, 10.0 * optimal, atol=0.1)
 
 
 @pytest.mark.parametrize(("ticks", "every"), [(199, 1), (300, 3)])
@@ -122,10 +120,8 @@ def test_progress_of_a_long_run_is_told_about_a_hundred_times(ticks, every):
 def test_the_users_grasp_forces_are_taken_in_order_of_time_at_their_tick():
     asked = [{"time": 0.008, "force": 14.0}, {"time": 0.004, "force": 8.0}]
     loop = ClosedLoop(load_scenario("paper", {"user_forces": asked, "targets": []}))
-    record, goals = Record.empty(6, loop.plant.hand.finger_names, loop.plant.hand.joint_names), []
-    for row in range(6):
-        loop.tick(record, row)
-        goals.append(loop.regulator.goal)
+    goals = []
+    record = loop.run(6, lambda _: goals.append(loop.regulator.goal))
     assert goals == [10.0, 10.0, 8.0, 8.0, 14.0, 14.0]
     assert (np.diff(record.grasp_force) < 0.0).tolist() == [False, True, True, False, False]
 

@@ -27,10 +27,10 @@ def step(made, tick, command=None, *, answers=None, theta=THETA, rates=STILL, re
     return made.step(tick * TICK, theta, rates, command, refused)
 
 
-def follow(made, ticks=6):
-    for tick in range(ticks):
-        step(made, tick, TORQUE)
-    return ticks
+def follow(made, torque=TORQUE):
+    for tick in range(6):
+        step(made, tick, torque)
+    return 6
 
 
 def test_good_commands_pass_to_the_bit():
@@ -84,20 +84,16 @@ def test_commands_take_over_in_equal_steps():
 
 
 def test_a_joint_is_too_fast_above_its_limit_and_slow_again_at_four_fifths_of_it():
-    made, joint = guard(speed_limit=1.0), (np.arange(9) == 3).astype(float)
-    step(made, 0, TORQUE, rates=-joint)
-    assert not made.reason
-    step(made, 1, TORQUE, rates=-np.nextafter(1.0, 2.0) * joint)
-    assert made.reason == command_guard.TOO_FAST
-    step(made, 2, TORQUE, rates=-np.nextafter(0.8, 1.0) * joint)
-    assert made.reason == command_guard.TOO_FAST
-    step(made, 3, TORQUE, rates=-0.8 * joint)
-    assert not made.reason
-    limits = guard()
-    step(limits, 0, TORQUE, rates=HAND.velocity_limits)
-    assert not limits.reason
-    step(limits, 1, TORQUE, rates=np.nextafter(HAND.velocity_limits, np.inf))
-    assert limits.reason == command_guard.TOO_FAST
+    made, joint, limits = guard(speed_limit=1.0), np.eye(9)[3], HAND.velocity_limits
+    above, fast = np.nextafter(1.0, 2.0), command_guard.TOO_FAST
+    speeds = ((1.0, ""), (above, fast), (np.nextafter(0.8, 1.0), fast), (0.8, ""))
+    for tick, (speed, reason) in enumerate(speeds):
+        step(made, tick, TORQUE, rates=-speed * joint)
+        assert made.reason == reason
+    made = guard()
+    for tick, (rates, reason) in enumerate(((limits, ""), (np.nextafter(limits, np.inf), fast))):
+        step(made, tick, TORQUE, rates=rates)
+        assert made.reason == reason
 
 
 def test_torques_of_commands_and_holds_stay_inside_the_limits_of_the_joints():
@@ -168,9 +164,8 @@ def test_a_command_that_comes_again_is_judged_by_its_age_alone_unless_it_was_stu
     made = guard()
     last, moved = follow(made) - 1, THETA + 0.01
     for late in (1, 2, 3):
-        np.testing.assert_array_equal(
-            step(made, last + late, TORQUE, answers=last, theta=moved), TORQUE
-        )
+        again = step(made, last + late, TORQUE, answers=last, theta=moved)
+        np.testing.assert_array_equal(again, TORQUE)
         assert not made.reason
     made = guard()
     last = follow(made)
@@ -202,19 +197,15 @@ def test_a_command_may_pull_with_a_fifth_of_the_grasp_force(pull, reason):
     weight, load = HAND.gravity_torque(THETA), np.tile([0.3, -2.0, 1.0], (3, 1))
     carry = joint_torque(HAND.fingertips(THETA), load)
     made = guard()
-    for tick in range(6):
-        step(made, tick, TORQUE + carry)
-    step(made, 6, weight + carry + pull * (TORQUE - weight))
+    step(made, follow(made, TORQUE + carry), weight + carry + pull * (TORQUE - weight))
     assert made.reason == reason
 
 
 def test_to_let_go_step_by_step_is_no_jump():
     """Each step is below 0.02 N m; the last ones pull."""
     weight, made = HAND.gravity_torque(THETA), guard()
-    tick = follow(made)
-    for share in np.arange(1.0, -1.0, -0.09):
+    for tick, share in enumerate(np.arange(1.0, -1.0, -0.09), follow(made)):
         step(made, tick, weight + share * (TORQUE - weight))
-        tick += 1
         assert not made.reason
 
 
@@ -224,9 +215,8 @@ def test_fingers_that_hardly_press_may_be_pulled_anywhere():
         weight, made = HAND.gravity_torque(THETA), guard()
         _, presses = split_forces(tip_forces(HAND.fingertips(THETA), TORQUE - weight))
         share = fraction * HAND.minimum_force / np.linalg.norm(presses, axis=1).sum()
-        for tick in range(6):
-            step(made, tick, weight + share * (TORQUE - weight))
-        step(made, 6, weight - share * 2.0 * (TORQUE - weight))
+        tick = follow(made, weight + share * (TORQUE - weight))
+        step(made, tick, weight - share * 2.0 * (TORQUE - weight))
         assert made.reason == reason
 
 
@@ -246,8 +236,8 @@ def test_while_commands_take_over_their_drive_is_no_load():
     tick = follow(made)
     step(made, tick, refused="a second sender")
     carry = joint_torque(HAND.fingertips(THETA), np.tile([0.0, 0.0, -3.0], (3, 1)))
-    torques = [step(made, tick + more, TORQUE + carry) for more in range(1, 5)]
-    for more, torque in enumerate(torques, 1):
+    for more in range(1, 5):
+        torque = step(made, tick + more, TORQUE + carry)
         np.testing.assert_allclose(torque, TORQUE + 0.1 * more * carry, atol=1e-9)
 
 
@@ -264,10 +254,9 @@ def test_the_posture_of_the_first_held_tick_is_kept():
     np.testing.assert_allclose(answer, TORQUE + change + back, atol=1e-9)
 
 
-BAD = [np.full(9, np.nan), np.full(9, np.inf), np.where(np.arange(9) == 4, np.nan, THETA)]
-
-
-@pytest.mark.parametrize("bad", BAD)
+@pytest.mark.parametrize(
+    "bad", [np.full(9, np.nan), np.full(9, np.inf), np.where(np.arange(9) == 4, np.nan, THETA)]
+)
 @pytest.mark.parametrize("what", ["theta", "rates"])
 def test_joint_states_that_are_not_finite_start_a_hold_without_the_drive(bad, what):
     """The last torque drove the joints; repeating it would continue the motion."""

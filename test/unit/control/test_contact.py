@@ -26,7 +26,6 @@ from tactile_hand_ros.scenario.scenario import load_scenario
 def test_frame_is_right_handed_with_y_along_the_normal(normal):
     frame = contact_frame(normal)
     np.testing.assert_allclose(frame.T @ frame, np.eye(3), atol=1e-12)
-    assert np.linalg.det(frame) == pytest.approx(1.0)
     np.testing.assert_allclose(frame[:, 1], normal, atol=1e-15)
     t_x, n, t_z = frame.T
     np.testing.assert_allclose(np.cross(n, t_z), t_x, atol=1e-12)
@@ -51,7 +50,6 @@ def frames(normals):
 
 
 def test_a_contact_without_a_direction_does_not_count():
-    """A zero quaternion with a valid position defines no direction to push along."""
     quaternions = quaternion_from_rotation(frames([[-1.0, 0, 0], [1.0, 0, 0], [0, -1.0, 0]]))
     quaternions[2] = 0.0
     contacts = Contacts.from_poses(np.eye(3), quaternions)
@@ -84,7 +82,6 @@ def test_hand_jacobian_is_equation_2_turned_into_frames(touch):
 
 
 def test_joint_torques_are_the_transposed_hand_jacobian_times_the_forces(touch):
-    """They must equal equation (2) written out, and do the same work as the contacts."""
     tips, points = touch
     random = np.random.default_rng(6)
     forces, rates = random.normal(size=(3, 3)), random.normal(size=9)

@@ -8,13 +8,8 @@ from support.grasps import contacts_at
 from support.hands import prism_grasp
 
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
-from tactile_hand_ros.closed_loop.record import Record
 from tactile_hand_ros.control.grasp import VirtualFrame, grasp_map, wrench_forces
-from tactile_hand_ros.control.holds import (
-    fitted_gains,
-    motions_of_object,
-    required_bandwidth,
-)
+from tactile_hand_ros.control.holds import fitted_gains, motions_of_object, required_bandwidth
 from tactile_hand_ros.control.optimizer.force_optimizer import (
     ForceOptimizer,
     ForceOptimizerConfig,
@@ -25,6 +20,7 @@ from tactile_hand_ros.rotations import rotation_from_vector
 from tactile_hand_ros.scenario.scenario import load_scenario
 
 POINTS = np.array([[0.03, 0.01, 0.1], [-0.02, -0.01, 0.12]])
+ALONG = (POINTS[0] - POINTS[1]) / np.linalg.norm(POINTS[0] - POINTS[1])
 
 
 def opposed(points, lean=0.0):
@@ -53,9 +49,8 @@ def test_two_contacts_carry_all_of_a_wrench_but_the_turn_about_their_line():
     forces = wrench_forces(POINTS, wrench)
     frames = np.tile(np.eye(3), (2, 1, 1))
     got = grasp_map(POINTS - POINTS.mean(axis=0), frames) @ forces.ravel()
-    along = (POINTS[0] - POINTS[1]) / np.linalg.norm(POINTS[0] - POINTS[1])
     assert_allclose(got[:3], wrench[:3], atol=1e-12)
-    assert_allclose(got[3:], wrench[3:] - along * (along @ wrench[3:]), atol=1e-6)
+    assert_allclose(got[3:], wrench[3:] - ALONG * (ALONG @ wrench[3:]), atol=1e-6)
 
 
 def test_the_frame_of_two_contacts_turns_with_their_line_and_not_about_it():
@@ -66,9 +61,8 @@ def test_the_frame_of_two_contacts_turns_with_their_line_and_not_about_it():
         small = rotation_from_vector(np.array([0.05, -0.02, 0.04]))
         turn = small @ turn
         now = frame.orientation(POINTS @ turn.T)
-    along = (POINTS[0] - POINTS[1]) / np.linalg.norm(POINTS[0] - POINTS[1])
-    assert_allclose(start[:, 0], along)
-    assert_allclose(now[:, 0], turn @ along, atol=1e-12)
+    assert_allclose(start[:, 0], ALONG)
+    assert_allclose(now[:, 0], turn @ ALONG, atol=1e-12)
     assert_allclose(now.T @ now, np.eye(3), atol=1e-12)
     assert np.linalg.det(now) == pytest.approx(1.0)
     assert_allclose(VirtualFrame().orientation(POINTS), start)
@@ -98,16 +92,9 @@ def test_two_joint_fingers_hold_and_refuse_moves_that_they_cannot_make(tmp_path)
 def test_the_same_parameters_again_move_nothing(tmp_path, monkeypatch):
     """Also where the hand keeps its posture, since its joints move the object in few directions."""
     monkeypatch.setattr("tactile_hand_ros.control.controller.FEWEST_MOTIONS", 4)
-    found = []
-    for again in (False, True):
-        loop = ClosedLoop(few_joints(tmp_path))
-        record = Record.empty(100, loop.plant.hand.finger_names, loop.plant.hand.joint_names)
-        for row in range(100):
-            loop.tick(record, row)
-            if again:
-                loop.controller.configure(loop.controller.config)
-        found.append(record.theta)
-    np.testing.assert_array_equal(*found)
+    loop, other = (ClosedLoop(few_joints(tmp_path)) for _ in range(2))
+    again = loop.run(100, lambda _: loop.controller.configure(loop.controller.config))
+    np.testing.assert_array_equal(again.theta, other.run(100).theta)
 
 
 def test_gains_fit_motions_that_exist_only(tmp_path):

@@ -68,10 +68,9 @@ def test_joint_margin_of_the_paper_and_of_a_stretched_finger():
         tips = hand.fingertips(theta)
         return equations.hand_jacobian(*tips, tips.positions)
 
-    assert joint_margin(jacobian()) == pytest.approx(
-        np.linalg.svd(jacobian(), compute_uv=False)[-1]
-    )
-    assert joint_margin(jacobian().reshape(3, 3, 9)) == joint_margin(jacobian())
+    margin = joint_margin(jacobian())
+    assert margin == pytest.approx(np.linalg.svd(jacobian(), compute_uv=False)[-1])
+    assert margin == joint_margin(jacobian().reshape(3, 3, 9))
     theta[5] = 0.0
     with pytest.raises(GraspError, match=r"singular \(A5\).*9 x 9"):
         check_joints(jacobian())
@@ -194,7 +193,6 @@ def test_the_first_three_of_more_contacts_lead_where_they_are_clear_of_a_line(ma
 
 @pytest.mark.parametrize("seed", range(8))
 def test_more_contacts_turn_by_the_best_rotation_which_is_that_of_scipy(seed):
-    """Of disturbed and of mirrored contacts."""
     random, frame = np.random.default_rng(seed), VirtualFrame()
     before = random.standard_normal((5, 3))
     start, arms = frame.orientation(before), before - before.mean(axis=0)

@@ -37,13 +37,11 @@ TIPS = HAND.fingertips(THETA)
 INTERNAL = 8.0 * (TIPS.positions.mean(axis=0) - TIPS.positions)
 TOTAL = np.linalg.norm(INTERNAL, axis=1).sum()
 PRESSED = joint_torque(TIPS, INTERNAL)
+terms = HAND.dynamics
 
 
 def hold(tick=0.002, **changes) -> GuardHold:
     return GuardHold(GuardHoldConfig().changed(changes), HAND, tick)
-
-
-terms = HAND.dynamics
 
 
 @pytest.mark.parametrize("tick", [0.0005, 0.002, 0.01])
@@ -73,15 +71,14 @@ def test_a_hold_is_as_stiff_as_its_delay_allows_and_encoders_shake_it_little():
 
 
 def test_braking_starts_without_a_step_of_the_torque_and_stops_in_a_spring():
-    made, rates = hold(reserve=0.0), np.linspace(-0.5, 0.5, 9)
-    made.engage(THETA, rates, PRESSED)
-    model = terms(THETA, rates)
-    first = made.step((THETA, rates), model, follows=False)
+    made, model = hold(reserve=0.0), terms(THETA, SPEED)
+    made.engage(THETA, SPEED, PRESSED)
+    first = made.step((THETA, SPEED), model, follows=False)
     assert_allclose(first, PRESSED + model.bias, atol=1e-12)
     for _ in range(100):
         made.step((THETA, STILL), terms(THETA, STILL), follows=False)
     posture, speed = made.reference
-    assert_allclose(posture, THETA + 2.0 * 0.006 * rates, atol=1e-9)
+    assert_allclose(posture, THETA + 2.0 * 0.006 * SPEED, atol=1e-9)
     assert_allclose(speed, 0.0, atol=1e-9)
     model, off = terms(posture, STILL), np.linspace(0.0, 0.01, 9)
     found = made.step((posture - off, STILL), model, follows=False)
@@ -155,7 +152,7 @@ def test_a_finger_that_is_nearly_straight_is_not_asked_for_forces_that_no_joint_
 
 @given(st.floats(-1e308, 1e308), st.floats(-1e308, 1e308))
 def test_whatever_is_read_the_spring_is_finite(away, rate):
-    inertia = HAND.dynamics(THETA, STILL)[1]
+    inertia = terms(THETA, STILL).inertia
     found = spring(inertia, 100.0, np.full(9, away), np.full(9, rate))
     assert np.isfinite(found).all()
     if abs(away) < 3.0 and abs(rate) < 900.0:

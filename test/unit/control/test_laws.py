@@ -201,7 +201,6 @@ def test_coarse_encoders_lengthen_the_time_of_the_load_observer(grip):
 
 
 def test_a_load_observer_that_is_switched_off_forgets(grip):
-    """Switched on again, it starts without a load, not with an old one."""
     on = LawConfig(observer={"time": 0.02})
     law, fresh = ManipulationLaw(on, RADII), ManipulationLaw(on, RADII)
     for _ in range(20):

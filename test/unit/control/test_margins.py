@@ -9,12 +9,7 @@ from support.plants import plant
 
 from tactile_hand_ros.config.hand_config import load_hand_config
 from tactile_hand_ros.control.contact import Contacts, contact_frame
-from tactile_hand_ros.control.margins import (
-    REACTION,
-    GraspMonitor,
-    SlipMonitor,
-    angles_between,
-)
+from tactile_hand_ros.control.margins import REACTION, GraspMonitor, SlipMonitor, angles_between
 from tactile_hand_ros.control.slip.detector import ContactState
 from tactile_hand_ros.hand.hand import Hand
 

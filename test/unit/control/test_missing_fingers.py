@@ -5,10 +5,9 @@ import numpy as np
 import pytest
 from support.grasps import contacts_at
 from support.hands import prism_grasp, write_hand
-from support.outcomes import with_failing_skin
+from support.outcomes import run_with, with_failing_skin
 
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
-from tactile_hand_ros.closed_loop.record import Record
 from tactile_hand_ros.control.contact import Contacts
 from tactile_hand_ros.control.laws import (
     AuxiliaryPose,
@@ -72,12 +71,9 @@ def test_a_finger_that_a_blow_parts_from_the_object_comes_back(tmp_path, fingers
 
 
 def test_a_finger_that_starts_off_the_object_closes_while_four_hold(tmp_path):
-    loop = ClosedLoop(scenario_of(tmp_path, 5, 1.3, {}, away=0.05))
-    record = Record.empty(1300, loop.plant.hand.finger_names, loop.plant.hand.joint_names)
-    for row in range(1300):
-        loop.tick(record, row)
-        if row == 200:
-            assert loop.controller.missing.startswith("no contact at f1")
+    loop, said = ClosedLoop(scenario_of(tmp_path, 5, 1.3, {}, away=0.05)), []
+    record = run_with(loop, {201: lambda: said.append(loop.controller.missing)})
+    assert said[0].startswith("no contact at f1")
     hand = loop.controller.hand
     tips = [hand.tip_positions(record.theta[row])[0] for row in (300, 600)]
     speed = loop.scenario.manipulation_controller.regrasp.speed  # also against its weight

@@ -67,10 +67,8 @@ def test_a_contact_lies_its_own_radius_from_its_fingertip_along_its_normal(finge
     exact = Contacts(on, STATE.contacts.rotations)
     assert implausible_touch(tips, exact, RADII, np.full(3, 1e-12)) is None
     small = np.where(np.arange(3) == finger, 1e-3, 1.0)  # each has its own
-    assert (
-        implausible_touch(tips, contacts, RADII, small)
-        and implausible_touch(tips, contacts, RADII, small[[1, 2, 0]] + 1e-2) is None
-    )
+    assert implausible_touch(tips, contacts, RADII, small)
+    assert implausible_touch(tips, contacts, RADII, small[[1, 2, 0]] + 1e-2) is None
 
 
 def test_the_normal_parts_of_f_add_up_to_one_within_a_thousandth():
@@ -83,11 +81,8 @@ def test_the_normal_parts_of_f_add_up_to_one_within_a_thousandth():
 def test_contacts_may_creep_half_the_tolerance_from_where_the_joints_stopped():
     """By default a twelfth of the radius of their fingertips, 5 mm here."""
     for sign in (1.0, -1.0):
-        for limits, step in (
-            (Tolerances(0.004, 0.3, 0.0), 0.9e-3),
-            (Tolerances(0.0, 0.3, 0.0), 2.2e-3),
-        ):
-            watch, found = InputCheck(HAND), []
+        for tolerance, step in ((0.004, 0.9e-3), (0.0, 2.2e-3)):
+            watch, limits, found = InputCheck(HAND), Tolerances(tolerance, 0.3, 0.0), []
             for i in range(4):
                 seen = STATE.theta, REST, shifted(0, 0, sign * step * i), limits, None
                 found.append(watch.step(i, *seen)[1])
@@ -159,10 +154,6 @@ def test_the_time_of_implausible_inputs_restarts_after_their_end(end):
     assert bench.step(grasp_force=13.0).do_not_send
 
 
-def lose(bench):
-    bench.step(contacts=bench.nowhere)
-
-
 def retake(bench):
     bench.controller.release()
     bench.step()
@@ -170,7 +161,9 @@ def retake(bench):
     assert bench.step().mode is Mode.DRIVE
 
 
-@pytest.mark.parametrize("end", [lose, retake, lambda bench: bench.controller.forget()])
+@pytest.mark.parametrize(
+    "end", [retake, lambda b: b.step(contacts=b.nowhere), lambda b: b.controller.forget()]
+)
 def test_what_was_pressed_before_another_grasp_is_forgotten(end):
     """The force averages restart; the old ones would outweigh the new, consistent forces."""
     bench = doubting()

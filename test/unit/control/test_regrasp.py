@@ -4,9 +4,9 @@
 import numpy as np
 import pytest
 from support.grasps import contacts_at
+from support.outcomes import run_with
 
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
-from tactile_hand_ros.closed_loop.record import Record
 from tactile_hand_ros.control.regrasp import Regrasp, RegraspConfig
 from tactile_hand_ros.hand.hand import Hand
 from tactile_hand_ros.scenario.scenario import load_scenario
@@ -17,15 +17,7 @@ def story():
     """Hold for 0.5 s, release for 1.5 s, and hold again; weightless, so that the cube waits."""
     changes = {"targets": [], "duration": 6, "plant.object.mass": 0.2, "plant.object.friction": 1.0}
     loop = ClosedLoop(load_scenario("paper", changes))
-    hand = loop.plant.hand
-    record = Record.empty(loop.scenario.ticks, hand.finger_names, hand.joint_names)
-    for row in range(len(record)):
-        if row == 250:
-            loop.controller.release()
-        if row == 1000:
-            loop.controller.grasp()
-        loop.tick(record, row)
-    return record
+    return run_with(loop, {250: loop.controller.release, 1000: loop.controller.grasp})
 
 
 def test_every_finger_leaves_and_the_object_stays_where_it_was(story):

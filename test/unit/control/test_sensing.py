@@ -54,22 +54,15 @@ def test_motions_that_show_nothing_beyond_the_error_of_the_angles_change_nothing
     assert found(0.0, age=0.01) == 0.0
 
 
-def touch(bench, time):
-    """Return the contacts with an object that the moving fingers carry."""
-    tips, there = HAND.fingertips(START), bench.contacts
-    moved = angles(time, 0.3)[0] - START
-    return Contacts(*carried_along(tips, there.positions, there.rotations, moved))
-
-
-def follow(bench, ticks, age, missing=None):
-    """Answer ticks with contacts of some age in s, without those of one finger; return torques."""
-    torques = []
+def follow(bench, ticks, age, missing=()):
+    """Answer ticks with contacts that the fingers carry, of some age in s; return torques."""
+    torques, touch = [], (bench.contacts.positions, bench.contacts.rotations)
     for _ in range(ticks):
         time = 1e-9 * bench.stamp
         theta, rates = angles(time, 0.3)
-        contacts = touch(bench, time - age)
-        if missing is not None:
-            contacts.positions[missing] = contacts.rotations[missing] = np.nan
+        moved = angles(time - age, 0.3)[0] - START
+        contacts = Contacts(*carried_along(HAND.fingertips(START), *touch, moved))
+        contacts.positions[list(missing)] = contacts.rotations[list(missing)] = np.nan
         torques.append(bench.step(theta=theta, rates=rates, contacts=contacts).torque)
     return np.array(torques)
 
@@ -80,7 +73,7 @@ def test_the_law_takes_late_contacts_where_they_are_now():
     follow(late, 1, 0.0), follow(fresh, 1, 0.0)
     found, wanted = follow(late, 100, 0.005), follow(fresh, 100, 0.0)
     np.testing.assert_allclose(found[3:], wanted[3:], atol=5e-4)  # without: 4.4e-3 N m
-    follow(late, 3, 0.005, missing=1), follow(fresh, 3, 0.0, missing=1)
+    follow(late, 3, 0.005, missing=[1]), follow(fresh, 3, 0.0, missing=[1])
     found, wanted = follow(late, 6, 0.005), follow(fresh, 6, 0.0)
     np.testing.assert_allclose(found[3:], wanted[3:], atol=5e-4)
 

@@ -18,13 +18,6 @@ STEADY = np.linspace(-0.5, 0.7, 9)
 IDENTITIES = np.tile(np.eye(3), (3, 1, 1))
 
 
-def carried(bench, theta, twist):
-    """Return joint angles after a small motion of the object that the fingers carry."""
-    hand, points = bench.controller.hand, bench.contacts.positions
-    levers = hand_jacobian(hand.fingertips(theta), points, IDENTITIES).reshape(9, 9)
-    return theta + np.linalg.solve(levers, grasp_map(points - bench.centroid, IDENTITIES).T @ twist)
-
-
 def inward(bench, finger, distance):
     """Return joint angles with the tip of a finger moved along its normal, m."""
     hand = bench.controller.hand
@@ -54,17 +47,19 @@ def test_a_finger_that_stays_presses_on_unfelt_and_one_that_leaves_its_place_doe
 
 def test_the_contact_of_an_unfelt_finger_moves_with_the_object():
     bench = Bench()
-    touch = UnfeltTouch(bench.controller.hand)
-    touch.feel(bench.theta, bench.contacts, FORCES)
-    theta, twist = bench.theta, np.array([2e-4, -1e-4, 1e-4, 4e-4, 8e-4, -6e-4])
+    hand, points, theta = bench.controller.hand, bench.contacts.positions, bench.theta
+    touch, twist = UnfeltTouch(hand), np.array([2e-4, -1e-4, 1e-4, 4e-4, 8e-4, -6e-4])
+    touch.feel(theta, bench.contacts, FORCES)
+    shifts = grasp_map(points - bench.centroid, IDENTITIES).T @ twist
     for _ in range(100):
-        theta = carried(bench, theta, twist)
+        levers = hand_jacobian(hand.fingertips(theta), points, IDENTITIES).reshape(9, 9)
+        theta = theta + np.linalg.solve(levers, shifts)
         filled, _ = touch.filled(theta, bench.contacts, None, FIRST, REST)
     # It rolls on, so only about: 16 mm from the start, and turned by 0.1 rad.
-    assert np.linalg.norm(filled.positions[0] - bench.contacts.positions[0]) > 0.01
-    gap = filled.positions[0] - bench.controller.hand.fingertips(theta).positions[0]
-    assert np.linalg.norm(gap) == pytest.approx(bench.controller.hand.radii[0], rel=1e-3)
-    np.testing.assert_array_equal(filled.positions[1:], bench.contacts.positions[1:])
+    assert np.linalg.norm(filled.positions[0] - points[0]) > 0.01
+    gap = filled.positions[0] - hand.fingertips(theta).positions[0]
+    assert np.linalg.norm(gap) == pytest.approx(hand.radii[0], rel=1e-3)
+    np.testing.assert_array_equal(filled.positions[1:], points[1:])
 
 
 def test_its_force_is_that_of_its_torques():

@@ -7,13 +7,7 @@ Also on an arm, with joints that do not count, coupled joints, and limits of its
 import numpy as np
 import pytest
 import yaml
-from support.hands import (
-    changed,
-    kinetic_energy,
-    potential_energy,
-    tip_rotations,
-    write_hand,
-)
+from support.hands import changed, kinetic_energy, potential_energy, tip_rotations, write_hand
 
 from tactile_hand_ros.errors import HandModelError
 from tactile_hand_ros.hand.hand import Hand
@@ -53,9 +47,8 @@ def test_second_joint_turns_across_the_first_link():
     theta[:3] = [0.5, 0.3, 0.0]
     tip = hand.fingertips(theta).positions[0] - [0.3, 0.0, 0.0]
     along = 0.6 * np.cos(0.3)
-    np.testing.assert_allclose(
-        tip, [along * np.cos(0.5), 0.6 * np.sin(0.3), along * np.sin(0.5)], atol=1e-12
-    )
+    expected = along * np.cos(0.5), 0.6 * np.sin(0.3), along * np.sin(0.5)
+    np.testing.assert_allclose(tip, expected, atol=1e-12)
 
 
 def edited(tmp_path, old, new, file="hand.urdf"):
@@ -208,9 +201,8 @@ def test_a_hand_on_an_arm_is_the_hand_alone(tmp_path):
     """The order of its joints is the same, and another hand on the arm does not count."""
     alone = Hand.load(str(write_hand(tmp_path, [3, 4, 3])))
     arm = '<link name="world"/><link name="other"/>' + joint("elbow", "world", "palm")
-    hand = changed(
-        tmp_path / "hand.yaml", ("</robot>", arm + joint("a", "world", "other") + "</robot>")
-    )
+    arm += joint("a", "world", "other")
+    hand = changed(tmp_path / "hand.yaml", ("</robot>", f"{arm}</robot>"))
     theta = np.random.default_rng(0).uniform(-1.0, 1.0, 10)
     assert hand.joint_names == alone.joint_names and hand.finger_mass == alone.finger_mass
     for one, other in zip(hand.dynamics(theta, theta), alone.dynamics(theta, theta), strict=True):
@@ -220,11 +212,10 @@ def test_a_hand_on_an_arm_is_the_hand_alone(tmp_path):
 
 def test_joints_that_move_no_fingertip_are_locked_at_zero(tmp_path):
     """The fixed finger weighs what the moving one does at that angle."""
-    nail = (
-        '<link name="nail"><inertial><mass value="2"/><origin xyz="0.3 0.1 0.2"/></inertial></link>'
-    )
+    mass = '<inertial><mass value="2"/><origin xyz="0.3 0.1 0.2"/></inertial>'
+    nail = f'<link name="nail">{mass}</link>' + joint("n", "f2_tip", "nail")
     path = write_hand(tmp_path, [3, 3, 3])
-    hand = changed(path, ("</robot>", nail + joint("n", "f2_tip", "nail") + "</robot>"))
+    hand = changed(path, ("</robot>", f"{nail}</robot>"))
     assert hand.joints == 9
     fingers = yaml.safe_load(path.read_text())["fingers"]
     moves = changed(path, fingers=[*fingers, {"name": "nail", "tip": "nail", "radius": 0.01}])
@@ -283,10 +274,9 @@ def test_the_torque_of_a_joint_that_follows_does_not_count(tmp_path):
 
 
 def test_a_joint_that_turns_without_end_has_a_turn_each_way(tmp_path):
-    path = write_hand(tmp_path, [3, 3, 3])
-    hand = changed(
-        path, ('name="f1_joint_2" type="revolute"', 'name="f1_joint_2" type="continuous"')
-    )
+    joint = 'name="f1_joint_2" type="{}"'.format
+    endless = joint("revolute"), joint("continuous")
+    hand = changed(write_hand(tmp_path, [3, 3, 3]), endless)
     assert [limit[1] for limit in hand.position_limits] == [-2.0 * np.pi, 2.0 * np.pi]
 
 
@@ -335,8 +325,7 @@ def test_who_leads_stops_where_a_follower_would_pass_its_end(tmp_path):
         "f3_joint_1": {"lower": -2.0, "upper": 2.0, "velocity": 5.0},
         "f3_joint_2": {"lower": -1.5, "upper": 0.6, "velocity": 3.0},
     }
-    path = write_hand(tmp_path, [4, 3, 3], couplings=COUPLED, limits=limits)
-    hand = Hand.load(str(path))
+    hand = Hand.load(str(write_hand(tmp_path, [4, 3, 3], couplings=COUPLED, limits=limits)))
     lower, upper = hand.position_limits
     assert (lower[6], upper[6]) == (pytest.approx(-0.4), pytest.approx(1.0))
     assert hand.velocity_limits[6] == pytest.approx(2.0)

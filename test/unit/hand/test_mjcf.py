@@ -99,18 +99,22 @@ def test_shapes_of_an_mjcf_that_collide_are_those_of_its_links(tmp_path):
         assert ("palm" in found) == touches, place
 
 
+def load_without_radius(folder, shape):
+    """Load a hand whose second tip has a shape, but no radius in the YAML file."""
+    link = '<link name="f2_tip"/>', f'<link name="f2_tip">{shape}</link>'
+    fingers = [{"name": f"f{i}", "tip": f"f{i}_tip", "radius": 0.02} for i in (1, 2, 3)]
+    fingers[1] = {"name": "f2", "tip": "f2_tip", "axis": [0.0, 0.0, 1.0]}
+    return changed(write_hand(folder, [3, 3, 3]), link, fingers=fingers)
+
+
 def test_a_mesh_without_a_round_end_is_named(tmp_path):
     ball = trimesh.creation.icosphere(radius=0.02)
     bowl = ball.faces[ball.triangles[:, :, 2].max(axis=1) < 1e-3]
     trimesh.Trimesh(ball.vertices, bowl).export(tmp_path / "tip.stl")
     visual = '<visual><geometry><mesh filename="tip.stl"/></geometry></visual>'
-    link = '<link name="f2_tip"/>', f'<link name="f2_tip">{visual}</link>'
-    fingers = [{"name": f"f{i}", "tip": f"f{i}_tip", "radius": 0.02} for i in (1, 2, 3)]
-    fingers[1] = {"name": "f2", "tip": "f2_tip", "axis": [0.0, 0.0, 1.0]}
-    with pytest.raises(
-        HandModelError, match="'f2': no sphere fits the end of the mesh of 'f2_tip'"
-    ):
-        changed(write_hand(tmp_path, [3, 3, 3]), link, fingers=fingers)
+    said = "'f2': no sphere fits the end of the mesh of 'f2_tip'"
+    with pytest.raises(HandModelError, match=said):
+        load_without_radius(tmp_path, visual)
 
 
 @pytest.mark.parametrize(
@@ -125,11 +129,8 @@ def test_a_mesh_without_a_round_end_is_named(tmp_path):
 def test_a_damaged_fingertip_is_one_sentence(tmp_path, shape, origin, said):
     (tmp_path / "tip.stl").write_bytes(b"solid" + bytes(30))
     tip = f'<collision><origin xyz="{origin}"/><geometry><{shape}/></geometry></collision>'
-    link = '<link name="f2_tip"/>', f'<link name="f2_tip">{tip}</link>'
-    fingers = [{"name": f"f{i}", "tip": f"f{i}_tip", "radius": 0.02} for i in (1, 2, 3)]
-    fingers[1] = {"name": "f2", "tip": "f2_tip", "axis": [0.0, 0.0, 1.0]}
     with pytest.raises(HandModelError, match=said):
-        changed(write_hand(tmp_path, [3, 3, 3]), link, fingers=fingers)
+        load_without_radius(tmp_path, tip)
 
 
 def test_broken_mjcf_is_an_error_with_its_reason(tmp_path):

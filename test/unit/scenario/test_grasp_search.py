@@ -2,7 +2,6 @@
 """Grasps that a search finds are grasps: of shipped hands, mixed hands, coupled ones, any box."""
 
 from functools import partial
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -98,9 +97,8 @@ def test_a_found_grasp_holds_at_the_first_try_and_bears_a_pull(tmp_path, shape, 
     best = search(Hand.load("human", gravity=DOWN), body)[0]
     values = scenario_values("human", body, best)
     pull = [{"kind": "step", "start": 0.5, "force": [0.0, 0.0, -2.0]}]
-    record = ClosedLoop(
-        scenario(tmp_path, values, duration=1.5, **{"plant.disturbances": pull})
-    ).run()
+    changes = {"duration": 1.5, "plant.disturbances": pull}
+    record = ClosedLoop(scenario(tmp_path, values, **changes)).run()
     moved = np.linalg.norm(record.object_position - record.object_position[0], axis=1)
     sagged, pulled = moved[:500].max(), moved[500:].max()
     assert len(record) == 1501 and sagged < 0.004 and moved[-1] < pulled / 3.0
@@ -156,12 +154,11 @@ def test_the_command_writes_a_scenario_that_can_run_and_a_picture(tmp_path, caps
     printed = capsys.readouterr().out
     file = tmp_path / "human_40mm.yaml"
     assert "with 0.2 kg, it bears pulls of up to " in printed
-    assert f"next: tactile-hand run {file}" in printed and Path(file).with_suffix(".png").is_file()
+    assert f"next: tactile-hand run {file}" in printed and file.with_suffix(".png").is_file()
     record = ClosedLoop(load_scenario(str(file), {"duration": 0.2})).run()
     assert np.isfinite(record.true_positions).all()
-    assert (
-        main(["grasp", "human", "0.04", "0.08", "--shape", "cylinder", "--out", str(tmp_path)]) == 0
-    )
+    words = ["human", "0.04", "0.08", "--shape", "cylinder"]
+    assert main(["grasp", *words, "--out", str(tmp_path)]) == 0
     body = load_scenario(str(tmp_path / "human_cylinder_40mm.yaml")).plant.object
     assert (body.shape, body.size) == ("cylinder", (0.04, 0.04, 0.08))
     for words, message in (

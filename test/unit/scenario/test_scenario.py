@@ -130,10 +130,8 @@ def test_a_mistake_is_refused_with_its_place(tmp_path, text, message):
 
 
 def test_an_extension_replaces_keys_and_keeps_the_rest(tmp_path):
-    scenario = load(
-        tmp_path,
-        "extends: pinch\nplant: {object: {mass: 0.5}}\nforce_optimizer: {weights: [1, 2, 3]}",
-    )
+    text = "extends: pinch\nplant: {object: {mass: 0.5}}\nforce_optimizer: {weights: [1, 2, 3]}"
+    scenario = load(tmp_path, text)
     assert scenario.plant.object.mass == 0.5
     assert scenario.plant.object.size == (0.2604,) * 3 and scenario.layout == "pinch"
     assert scenario.force_optimizer.weights == [1.0, 2.0, 3.0]

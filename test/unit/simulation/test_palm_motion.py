@@ -50,7 +50,6 @@ def test_rate_and_acceleration_are_the_derivatives_of_the_way(time):
 
 
 def test_a_free_body_moves_straight_and_keeps_its_angular_momentum_in_the_world():
-    """By differences of three instants."""
     h, time, mass = 1e-4, 0.3, 0.3
     place, velocity = np.array([0.1, -0.2, 0.3]), np.array([0.4, 0.1, -0.3])
     frame, spin = rotation_from_vector([0.3, 0.2, -0.4]), np.array([1.0, -2.0, 0.5])
@@ -108,8 +107,8 @@ def test_turns_in_no_order_or_without_an_imu_are_refused(key, value, message):
 
 def test_a_user_turns_the_palm_on_top_of_its_motion_with_the_right_rates():
     now, h = resting(np.eye(3)), 1e-5
-    for _ in range(30_000):
-        now = turned_by_user(now, (0.5, 1.0, -0.2), h)
+    for _ in range(300):
+        now = turned_by_user(now, (0.5, 1.0, -0.2), 1e-3)
     reached = []
     for sign in (-1.0, 0.0, 1.0):
         turn = sign * h * (now.rate + 0.5 * sign * h * now.acceleration)

@@ -117,14 +117,10 @@ def test_a_tick_is_made_of_whole_steps():
 
 
 def test_a_reset_starts_the_same_motion_again_and_changes_no_state_of_before():
-    """Changes of friction repeat, too."""
     changes = [FrictionChange(start=0.04, friction=0.5), FrictionChange(start=0.02, friction=0.1)]
-    world = plant(
-        gravity=(0.0, 0.0, -1.0),
-        disturbances=[push(start=0.01, force=(1.0, 2.0, 3.0), torque=(0.01, 0, 0))],
-        friction_changes=changes,
-        object__friction=0.3,
-    )
+    friction = {"friction_changes": changes, "object__friction": 0.3}
+    blow = push(start=0.01, force=(1.0, 2.0, 3.0), torque=(0.01, 0, 0))
+    world = plant(gravity=(0.0, 0.0, -1.0), disturbances=[blow], **friction)
 
     def motion():
         frictions.append([])
@@ -170,14 +166,9 @@ def test_fingers_that_bend_in_a_plane_close_a_gap_beside_it(tmp_path):
     theta = posture_for(Hand.load(str(path)), tips)
     middle = np.array([0.0, 0.056, 0.35])
     radius = np.linalg.norm(tips[0] - middle) - 0.02 - 3e-4
-    ball = {"object__shape": "sphere", "object__size": [2.0 * radius] * 3}
-    made = plant(
-        hand=str(path),
-        layout="",
-        initial_joints=theta.tolist(),
-        object__position=tuple(middle),
-        **ball,
-    )
+    ball = {"shape": "sphere", "size": [2.0 * radius] * 3, "position": middle.tolist()}
+    ball = {f"object__{name}": value for name, value in ball.items()}
+    made = plant(hand=str(path), layout="", initial_joints=theta.tolist(), **ball)
     assert made.state.contacts.all_touching and np.abs(made.state.gaps).max() < 1e-9
     assert np.abs(made.state.theta - theta).max() > 1e-3
 
@@ -189,7 +180,6 @@ def test_a_wrong_number_of_initial_angles_is_refused(angles):
 
 
 def test_a_simulation_that_diverges_reports_it_and_can_restart():
-    """A blow that no object survives."""
     made = plant(disturbances=[push(start=0.1, force=(0.0, 0.0, 1e7))])
     with pytest.raises(DivergedError, match="has diverged at .* s.* reset the plant"):
         for _ in range(2000):
@@ -218,12 +208,12 @@ def test_a_joint_stops_at_its_limit_without_energy_and_leaves_it_freely():
     world = plant(hand="human", initial_joints=[0.5, 0.1, 0.8], **FAR)
     lower, upper = world.hand.position_limits
     torque = np.tile([0.02, -0.02, 0.02], 3)
-    state, gained = world.state, []
+    state, energy, gained = world.state, energy_of(world), []
     for _ in range(round(0.6 * world.config.rate)):
-        before, start = energy_of(world), state.theta
+        before, start = energy, state.theta
         state = world.advance(torque)
-        work = torque @ (state.theta - start)
-        gained.append((energy_of(world) - before - work) / (before + 1e-9))
+        energy, work = energy_of(world), torque @ (state.theta - start)
+        gained.append((energy - before - work) / (before + 1e-9))
         assert (state.theta < upper + 1e-9).all() and (state.theta > lower - 1e-9).all()
     assert max(gained[5:]) < 5e-3 and min(gained) < -0.05  # per step, and at a stop
     stopped = np.where(torque > 0.0, upper, lower)

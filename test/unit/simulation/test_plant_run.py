@@ -7,9 +7,20 @@ import pytest
 from tactile_hand_ros.scenario.scenario import load_scenario
 from tactile_hand_ros.simulation.plant_run import PlantRun
 
+TORQUE = np.full(9, 0.5)
 
-def config(**changes):
-    return load_scenario("paper", {"duration": 0.01, **changes}).plant
+
+def config():
+    return load_scenario("paper", {"duration": 0.01}).plant
+
+
+def advance(run, ticks, torque=None):
+    """Advance by ticks, each with a command for a torque if there is one; return the state."""
+    for _ in range(ticks):
+        if torque is not None:
+            run.command(run.stamp, torque)
+        run.advance()
+    return run.state
 
 
 @pytest.mark.parametrize(("rate", "duration", "ticks"), [(500.0, 0.01, 5), (100.0, 0.29, 29)])
@@ -26,53 +37,37 @@ def test_ticks_carry_the_stamps_of_their_times_until_the_nearest_to_the_end(rate
 
 def test_without_commands_the_joints_are_held_where_they_are():
     run = PlantRun(config())
-    torque = np.full(run.plant.hand.joints, 0.5)
-    for _ in range(4):
-        run.command(run.stamp, torque)
-        run.advance()
-    for _ in range(3):  # the age limit
-        run.advance()
+    advance(run, 4, TORQUE)
+    advance(run, 3)  # the age limit
     assert not run.guard.reason
     run.advance()
     assert run.guard.reason and run.guard.held == 1
-    for _ in range(200):
-        run.advance()
-    at = run.state.theta
-    for _ in range(200):
-        run.advance()
+    at = advance(run, 200).theta
+    advance(run, 200)
     assert run.guard.held == 401
     np.testing.assert_allclose(run.state.theta, at, atol=1e-6)
 
 
 def test_a_refused_sender_moves_nothing_until_it_is_released():
     run = PlantRun(config())
-    torque = np.full(run.plant.hand.joints, 0.5)
     run.refused = "two senders"
-    run.command(0, torque)
+    run.command(0, TORQUE)
     run.advance()
     assert run.guard.reason == "two senders"
     assert np.abs(run.state.torque).max() < 0.1
     run.refused = ""
-    run.command(run.stamp, torque)
-    run.advance()
+    advance(run, 1, TORQUE)
     assert not run.guard.reason
 
 
 def test_a_reset_run_repeats_to_the_bit_and_keeps_a_live_friction():
     run = PlantRun(config())
-    torque = np.full(run.plant.hand.joints, 0.5)
 
-    def end():
-        for _ in range(20):
-            run.command(run.stamp, torque)
-            run.advance()
-        return run.state.theta
-
-    first = end()
+    first = advance(run, 20, TORQUE).theta
     run.refused = "two senders"
     run.reset()
     assert run.stamp == 0 and not run.refused and not run.commanded and not run.guard.reason
-    np.testing.assert_array_equal(end(), first)
+    np.testing.assert_array_equal(advance(run, 20, TORQUE).theta, first)
     run.plant.configure(config().changed({"object.friction": 0.25}))
     assert (run.plant.friction == 0.25).all()
     run.reset()
@@ -85,9 +80,7 @@ def test_a_push_moves_the_object_until_it_is_not_renewed_and_a_live_mass_counts(
     push = np.array([0.0, 0.3, 0.0, 0.0, 0.0, 0.0])
 
     def speed_after(ticks):
-        for _ in range(ticks):
-            run.advance()
-        return run.state.velocity[1]
+        return advance(run, ticks).velocity[1]
 
     assert speed_after(10) == 0.0
     run.push(0, push)

@@ -8,6 +8,7 @@ import pytest
 import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 from support.exact import nearest_point
 from support.grasps import normals
@@ -59,8 +60,6 @@ def test_a_dodecahedron_has_pentagons():
 @pytest.mark.parametrize("decimals", [None, 8, 7, 6, 5, 4, 3])
 def test_corners_typed_with_few_decimals_leave_no_holes(decimals):
     """Rounding bends the faces slightly; every point above one must still find it."""
-    from scipy.spatial import ConvexHull
-
     corners = dodecahedron(decimals)
     solid, hull = Solid(corners), ConvexHull(corners)
     random = np.random.default_rng(1)

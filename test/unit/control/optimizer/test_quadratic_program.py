@@ -20,27 +20,11 @@ from tactile_hand_ros.control.optimizer.quadratic_program import (
     solve_problem,
 )
 
-WEIGHTS = (10.0, 1.0, 10.0)
-
-
-def shaped(contacts, cones, minimum=0.0, exact=True):
-    """Return f* of a new optimizer, and the largest violation of its conditions."""
-    k = len(contacts.positions)
-    optimizer = ConeOptimizer(np.tile(WEIGHTS, k), minimum, exact)
-    return optimizer.solve(scaled_balance(contacts.positions, contacts.rotations), cones)
-
 
 def corner(rows, bounds, price):
     """Return the problem of the point nearest to -price / 2 in a region, whose sum is 1."""
-    n = len(price)
-    return Problem(
-        np.ones(n),
-        np.array(price, dtype=float),
-        np.ones((1, n)),
-        np.ones(1),
-        np.array(rows, dtype=float),
-        np.array(bounds, dtype=float),
-    )
+    n, (rows, bounds, price) = len(price), (np.array(x, float) for x in (rows, bounds, price))
+    return Problem(np.ones(n), price, np.ones((1, n)), np.ones(1), rows, bounds)
 
 
 @settings(max_examples=60)
@@ -49,7 +33,9 @@ def test_what_is_optimal_proves_it(contacts, friction, seed, minimum):
     """For a strictly convex problem, stationarity, feasibility and positive multipliers suffice."""
     k = len(contacts.positions)
     load = 0.3 * np.random.default_rng(seed).standard_normal((k, 3))
-    forces, missing = shaped(contacts, Cones(np.full(k, friction), load), minimum)
+    optimizer = ConeOptimizer(np.tile([10.0, 1.0, 10.0], k), minimum)
+    balance = scaled_balance(contacts.positions, contacts.rotations)
+    forces, missing = optimizer.solve(balance, Cones(np.full(k, friction), load))
     size = max(1.0, np.abs(forces).max())
     assert missing < 1e-10 * size
     assert abs(forces[:, 1].sum() - 1.0) < 1e-10 * size
