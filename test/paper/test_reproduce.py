@@ -1,11 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """What the paper claims, end to end in-process: where it holds, where in part, where not."""
 
-from collections.abc import Callable
+import functools
 
 import numpy as np
 import pytest
-from support.outcomes import InParallel
 
 from tactile_hand_ros.reproduce.claims import (
     LAYOUTS,
@@ -18,21 +17,18 @@ from tactile_hand_ros.scenario.scenario import load_scenario
 
 LAWS = ("optimal", "contact", "kawamura")
 # Duration of each experiment [s]; None is that of the scenario.
-OF_ALL_LAYOUTS = {"optimal": None, "nominal": 10.0}
-OF_THREE_FACES = {"firm": 4.0, "contact": 4.0, "kawamura": 3.5, **{f"hold_{x}": 2.0 for x in LAWS}}
+SECONDS = {"optimal": None, "nominal": 10.0, "firm": 4.0, "contact": 4.0, "kawamura": 3.5}
+SECONDS |= {f"hold_{law}": 2.0 for law in LAWS}
+
+run_once = functools.cache(run_experiment)
 
 
-@pytest.fixture(scope="module")
-def outcome() -> Callable[..., ExperimentRun]:
-    """Return each experiment, run once for all tests, by its key and layout."""
-    cases = [(key, layout, s) for key, s in OF_ALL_LAYOUTS.items() for layout in LAYOUTS]
-    cases += [(key, "three_faces", s) for key, s in OF_THREE_FACES.items()]
-    runs = InParallel(run_experiment, {case[:2]: case for case in cases})
-    return lambda key, layout="three_faces": runs[key, layout]
+def outcome(key: str, layout: str = "three_faces") -> ExperimentRun:
+    return run_once(key, layout, SECONDS[key])
 
 
 @pytest.mark.parametrize("layout", LAYOUTS)
-def test_the_desired_state_and_forces_are_reached_and_no_contact_is_lost(outcome, layout):
+def test_the_desired_state_and_forces_are_reached_and_no_contact_is_lost(layout):
     """Fig. 3, equation (15)."""
     run = outcome("optimal", layout)
     m = run.metrics
@@ -51,7 +47,7 @@ def test_the_desired_state_and_forces_are_reached_and_no_contact_is_lost(outcome
     [("three_faces", "nominal"), ("three_faces", "firm"), ("three_faces", "contact")]
     + [("pinch", "nominal")],
 )
-def test_the_grasp_force_does_no_work(outcome, layout, key):
+def test_the_grasp_force_does_no_work(layout, key):
     """Other W, twice k_f, or (10) for (14): other forces, the same motion to 2 um of 190 mm."""
     other = outcome(key, layout).record
     one = outcome("optimal", layout).record.part(slice(len(other)))
@@ -61,7 +57,7 @@ def test_the_grasp_force_does_no_work(outcome, layout, key):
     assert np.abs(one.forces - other.forces).max() > 0.01
 
 
-def test_penalising_tangential_forces_helps_two_fingers_and_loads_the_third(outcome):
+def test_penalising_tangential_forces_helps_two_fingers_and_loads_the_third():
     """Fig. 4 in the layout three_faces: the third finger and the grasp as a whole need more."""
     penalised = outcome("optimal").metrics.final_required_friction
     nominal = outcome("nominal").metrics.final_required_friction
@@ -71,7 +67,7 @@ def test_penalising_tangential_forces_helps_two_fingers_and_loads_the_third(outc
     assert max(penalised.values()) > max(nominal.values())
 
 
-def test_penalising_tangential_forces_helps_every_finger_of_a_pinch(outcome):
+def test_penalising_tangential_forces_helps_every_finger_of_a_pinch():
     """Fig. 4 in the layout pinch, by one to three percent."""
     penalised = outcome("optimal", "pinch").metrics.final_required_friction
     nominal = outcome("nominal", "pinch").metrics.final_required_friction
@@ -79,20 +75,20 @@ def test_penalising_tangential_forces_helps_every_finger_of_a_pinch(outcome):
         assert 0.97 < beta / nominal[finger] < 0.99
 
 
-def test_squeezing_through_fingertips_rolls_and_through_contacts_does_not(outcome):
+def test_squeezing_through_fingertips_rolls_and_through_contacts_does_not():
     """Section III: the same grasp, held where it is for two seconds."""
     rolled = {law: derived.rolling(outcome(f"hold_{law}").record).max() for law in LAWS}
     assert rolled["kawamura"] > 0.02
     assert max(rolled["contact"], rolled["optimal"]) < 1e-9
 
 
-def test_kawamuras_law_loses_the_object_on_the_way(outcome):
+def test_kawamuras_law_loses_the_object_on_the_way():
     m = outcome("kawamura").metrics
     assert m.contacts_lost_ticks > 0 and not m.goal_reached
     assert 2.0 < m.first_contact_loss_s < 3.5
 
 
-def test_kawamuras_law_starts_with_the_forces_of_theorem_1(outcome):
+def test_kawamuras_law_starts_with_the_forces_of_theorem_1():
     """f_n,i = d_i k_f / sum(r), before anything rolls; d_i from the tips' centroid."""
     record = outcome("kawamura").record
     distances = np.array([0.1902, 0.1902, 0.1902 - 0.1902 / 3.0])

@@ -4,9 +4,11 @@
 The contacts of an old skin move with the fingers; the joints replace a failed one.
 """
 
+import functools
+
 import numpy as np
 import pytest
-from support.outcomes import InParallel, run_scenario, run_with_failing_skin
+from support.outcomes import run_scenario, run_with_failing_skin
 
 CASES = {
     "pulled, off": ("human_pull", 2, "off", 1.0, 3.0),
@@ -24,35 +26,30 @@ OLD = {
 }
 
 
-@pytest.fixture(scope="module")
-def records():
-    return InParallel(run_with_failing_skin, CASES)
-
-
-@pytest.fixture(scope="module")
-def with_old_touch():
-    return InParallel(run_scenario, OLD)
+@functools.cache
+def record_of(name):
+    return run_with_failing_skin(*CASES[name])
 
 
 @pytest.mark.parametrize("name", CASES)
-def test_the_object_is_kept_and_nothing_slides(records, name):
+def test_the_object_is_kept_and_nothing_slides(name):
     """Without the joints, the load would be unknown, and the object lost to 1.5 N."""
-    record = records[name]
+    record = record_of(name)
     assert record.stamps[-1] > 0 and np.isfinite(record.true_positions[-1]).all()
     assert record.true_slid[-1].max() < 1e-4
     assert np.isfinite(record.auxiliary_position[-1]).all()  # it goes on, without a hold
 
 
-def test_a_pull_displaces_the_object_as_little_as_with_a_whole_skin(records):
+def test_a_pull_displaces_the_object_as_little_as_with_a_whole_skin():
     for name in CASES:
         if name.startswith("pulled"):
-            moved = np.linalg.norm(np.diff(records[name].object_position[[1000, -1]], axis=0))
+            moved = np.linalg.norm(np.diff(record_of(name).object_position[[1000, -1]], axis=0))
             assert moved < 1e-3, name
 
 
-def test_the_hand_moves_on_and_knows_where(records):
+def test_the_hand_moves_on_and_knows_where():
     """The contact of the finger without a skin moves as if it were felt."""
-    record, whole = records["moving, off"], records["moving, whole"]
+    record, whole = record_of("moving, off"), record_of("moving, whole")
     assert np.linalg.norm(record.object_position[-1] - record.object_position[1500]) > 0.1
     away = np.linalg.norm(record.object_position - whole.object_position, axis=1)
     assert away.max() < 0.01
@@ -61,9 +58,9 @@ def test_the_hand_moves_on_and_knows_where(records):
 
 
 @pytest.mark.parametrize("name", OLD)
-def test_light_fingers_hold_with_old_touch(with_old_touch, name):
+def test_light_fingers_hold_with_old_touch(name):
     """With contacts as old as their samples, they swing and throw the object away."""
-    record = with_old_touch[name]
+    record = run_scenario(*OLD[name])
     assert np.isfinite(record.true_positions[-1]).all()
     assert record.true_slid[-1].max() < 1e-3
     swings = np.ptp(record.object_position[-200:], axis=0)

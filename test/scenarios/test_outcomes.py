@@ -1,9 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """What slip prevention is for: each scenario of weight and disturbance, with it and without."""
 
+import functools
+
 import numpy as np
 import pytest
-from support.outcomes import InParallel, can_be_held, run_scenario
+from support.outcomes import can_be_held, run_scenario
 
 from studies.slip.minimum import minimum_against
 from studies.slip.study import SLIDING
@@ -40,12 +42,10 @@ def changes_of(name, is_on=True):
     return changes if is_on else WITHOUT | changes
 
 
-@pytest.fixture(scope="session")
-def records():
-    """Every scenario with slip prevention (True) and without (False)."""
-    runs = [(name, True) for name in SCENARIOS + OF_HUMAN_SIZE]
-    runs += [(name, False) for name in SCENARIOS]
-    return InParallel(run_scenario, {run: (run[0], changes_of(*run)) for run in runs})
+@functools.cache
+def record_of(name, is_on=True):
+    """Return the record of a scenario with slip prevention, or without."""
+    return run_scenario(name, changes_of(name, is_on))
 
 
 def slip(record):
@@ -91,8 +91,8 @@ REACHING = [s for s in SCENARIOS if s not in ("crush_limit", "lost_contact")]
 
 
 @pytest.mark.parametrize("name", REACHING + OF_HUMAN_SIZE)
-def test_the_goal_is_reached(records, name):
-    record, goal = records[name, True], load_scenario(name).goal
+def test_the_goal_is_reached(name):
+    record, goal = record_of(name), load_scenario(name).goal
     assert not np.isnan(record.true_positions).any()
     assert slip(record) < goal.slip_distance
     moved, turned = final_errors(record)
@@ -100,26 +100,26 @@ def test_the_goal_is_reached(records, name):
 
 
 @pytest.mark.parametrize("name", SCENARIOS)
-def test_the_grasp_force_stays_below_the_crush_limit_and_the_object_in_the_hand(records, name):
+def test_the_grasp_force_stays_below_the_crush_limit_and_the_object_in_the_hand(name):
     """Whether a grasp inside the limit can hold is computed apart, by linear programming."""
-    record, scenario = records[name, True], load_scenario(name, changes_of(name))
+    record, scenario = record_of(name), load_scenario(name, changes_of(name))
     assert record.grasp_force.max() <= scenario.slip_regulator.maximum
     assert can_be_held(record, scenario) == (name != "crush_limit")
     assert not dropped(record)
 
 
 @pytest.mark.parametrize("name", SCENARIOS)
-def test_without_slip_prevention_the_object_is_dropped_where_it_matters(records, name):
-    assert dropped(records[name, False]) == (name in LOST_WITHOUT)
+def test_without_slip_prevention_the_object_is_dropped_where_it_matters(name):
+    assert dropped(record_of(name, False)) == (name in LOST_WITHOUT)
 
 
 @pytest.mark.parametrize("name", [s for s in SCENARIOS if s != "user_grip"])
-def test_in_the_end_it_is_held_little_firmer_than_it_needs(records, name):
-    assert excess_force(records[name, True], name) < 2.0
+def test_in_the_end_it_is_held_little_firmer_than_it_needs(name):
+    assert excess_force(record_of(name), name) < 2.0
 
 
-def test_the_reflex_presses_little_more_than_is_needed_where_a_user_asks_for_too_little(records):
-    record = records["user_grip", True]
+def test_the_reflex_presses_little_more_than_is_needed_where_a_user_asks_for_too_little():
+    record = record_of("user_grip")
     asked_too_little = (record.times > 4.5) & (record.times < 6.0)
     assert record.grasp_force[asked_too_little].min() > 3.5
     until_then = record.part(slice(0, int(np.searchsorted(record.times, 6.0))))
@@ -127,37 +127,37 @@ def test_the_reflex_presses_little_more_than_is_needed_where_a_user_asks_for_too
     assert record.grasp_force[-1] == pytest.approx(30.0)
 
 
-def test_without_reshaping_the_third_finger_slips_when_shaken(records):
-    assert slip(records["shake", False]) > 5e-3
-    assert slip(records["shake", True]) < 1e-4
+def test_without_reshaping_the_third_finger_slips_when_shaken():
+    assert slip(record_of("shake", False)) > 5e-3
+    assert slip(record_of("shake")) < 1e-4
 
 
 @pytest.mark.parametrize("name", ["lift", "gravity"])
-def test_a_run_starts_without_a_peak_of_the_grasp_force(records, name):
+def test_a_run_starts_without_a_peak_of_the_grasp_force(name):
     """What f* is not shaped for yet asked for up to twice as much in the first milliseconds."""
-    grasp_force = records[name, True].grasp_force[:1000]  # of the first second
+    grasp_force = record_of(name).grasp_force[:1000]  # of the first second
     assert grasp_force.max() < 1.3 * max(grasp_force[0], grasp_force[-1])
 
 
-def test_at_the_crush_limit_it_slips_less_than_without(records):
-    assert slip(records["crush_limit", True]) < 0.5 * slip(records["crush_limit", False])
+def test_at_the_crush_limit_it_slips_less_than_without():
+    assert slip(record_of("crush_limit")) < 0.5 * slip(record_of("crush_limit", False))
 
 
-def test_what_sticks_does_not_creep(records):
+def test_what_sticks_does_not_creep():
     """A quarter of a minute under weight and sensor noise, half of that of the scenario."""
-    assert slip(records["hold", True]) < 0.5 * load_scenario("hold").goal.slip_distance
+    assert slip(record_of("hold")) < 0.5 * load_scenario("hold").goal.slip_distance
 
 
-def test_with_slip_prevention_it_is_held_more_gently(records):
+def test_with_slip_prevention_it_is_held_more_gently():
     """Where the user's grasp force is more than enough, the object needs a fraction of it."""
-    with_, without = records["gravity", True], records["gravity", False]
+    with_, without = record_of("gravity"), record_of("gravity", False)
     assert with_.grasp_force[-1] < 0.95 * without.grasp_force[-1]
     # There is no false alarm while the object is moved with a noisy skin.
     assert (with_.grip[100:] == ContactState.STICK).all()
 
 
-def test_a_lost_contact_is_held_safely_and_comes_back(records):
-    record = records["lost_contact", True]
+def test_a_lost_contact_is_held_safely_and_comes_back():
+    record = record_of("lost_contact")
     lost = np.isnan(record.true_positions[:, 2, 0])
     assert lost.any() and not lost[-1000:].any()
     # While it is lost the controller holds, and says nothing of the object's pose. But the skin
@@ -169,14 +169,14 @@ def test_a_lost_contact_is_held_safely_and_comes_back(records):
     assert final_errors(record)[0] < 0.01
 
 
-def test_human_hold_ends_near_the_minimum_that_holds(records):
-    record, scenario = records["human_hold", True], load_scenario("human_hold")
+def test_human_hold_ends_near_the_minimum_that_holds():
+    record, scenario = record_of("human_hold"), load_scenario("human_hold")
     minimum = ready_force(record, scenario, np.zeros(3))
     assert 1.0 < record.grasp_force[-200:].mean() / minimum < 1.6
 
 
-def test_friction_is_learned_from_a_slip(records):
-    record = records["slippery", True]
+def test_friction_is_learned_from_a_slip():
+    record = record_of("slippery")
     slipped = record.true_slid[-1] > 1e-4
     assert slipped.any()
     assert record.friction[-1].min() == pytest.approx(0.15, abs=0.05)

@@ -2,7 +2,6 @@
 """Hands that exist hold a cube under a pull, and those that can move and turn it first."""
 
 import pytest
-from support.outcomes import InParallel
 
 from tactile_hand_ros.errors import PoseError
 from tactile_hand_ros.front_door import simulate
@@ -21,19 +20,14 @@ THREE_AXES = {  # as if the skin of the Ability Hand measured them
 }
 
 
-@pytest.fixture(scope="module")
-def results():
-    cases = {name: (name,) for name in HANDS}
-    return InParallel(simulate, {**cases, "three axes": ("ability", THREE_AXES)})
-
-
 @pytest.mark.parametrize("name", HANDS)
-def test_a_hand_that_exists_keeps_its_cube_under_a_pull(results, name):
-    scenario, metrics = load_scenario(name), results[name].metrics
+def test_a_hand_that_exists_keeps_its_cube_under_a_pull(name):
+    scenario, result = load_scenario(name), simulate(name)
+    metrics = result.metrics
     assert scenario.plant.disturbances[-1].force[2] == -2.0
     assert metrics.goal_reached and metrics.contacts_lost_ticks == 0
     assert metrics.max_slip_distance_m < 1e-3 and metrics.slip_alarm_count <= 1
-    commands = [event for event in results[name].events if event.kind == "command"]
+    commands = [event for event in result.events if event.kind == "command"]
     assert len(commands) == (2 if name in ("allegro", "shadow") else 0)
 
 
@@ -43,8 +37,8 @@ def test_a_gripper_refuses_to_move_its_object_and_says_why():
         check_scenario(load_scenario("panda", {"targets": [target]}))
 
 
-def test_a_hand_with_few_motions_keeps_its_posture_by_a_spring_between_joints(results):
+def test_a_hand_with_few_motions_keeps_its_posture_by_a_spring_between_joints():
     """A pose that is seen by touch, noisy and late, would shake the object by 8 mm."""
-    record = results["three axes"].record
+    record = simulate("ability", THREE_AXES).record
     before = record.object_position[(record.times > 1.0) & (record.times < 2.0)]
     assert abs(before - before.mean(axis=0)).max() < 3e-4

@@ -1,11 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Run scenarios in-process, in worker processes that can import this module."""
+"""Run scenarios in-process, whole or with a failing skin, and judge whether they could be held."""
 
-from collections.abc import Callable, Hashable
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from joblib import Parallel, delayed
 
 from studies.slip.minimum import minimum_at
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
@@ -43,23 +42,6 @@ def run_with(loop: ClosedLoop, events: dict[int, Callable[[], Any]]) -> Record:
             events[row]()
         loop.tick(record, row)
     return record
-
-
-class InParallel:
-    """Answers of a function on all cores, each of which is waited for only when it is wanted."""
-
-    def __init__(self, function: Callable[..., Any], cases: dict[Any, tuple[Any, ...]]) -> None:
-        """Start the calls; `cases` gives the arguments by a key."""
-        self._found: dict[Hashable, Any] = {}
-        work = Parallel(n_jobs=-1, return_as="generator")
-        self._coming = zip(cases, work(delayed(function)(*c) for c in cases.values()), strict=True)
-
-    def __getitem__(self, key: Hashable) -> Any:
-        """Return the answer to a case."""
-        while key not in self._found:
-            done, answer = next(self._coming)
-            self._found[done] = answer
-        return self._found[key]
 
 
 def can_be_held(record: Record, scenario: Scenario) -> bool:

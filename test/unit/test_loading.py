@@ -1,11 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """An executable loads only the libraries that it needs, because seven start at the same time."""
 
-import os
 import subprocess
 import sys
-from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
@@ -34,39 +31,21 @@ UNNEEDED = {
 }
 
 
-@pytest.fixture(scope="module")
-def loaded() -> Callable[[str], set[str]]:
-    """Start all executables at once; return the modules imported by each before its work.
-
-    The orchestrator imports the parts for a run only when there is one.
-    """
-    execute = [
-        "-c",
-        "from tactile_hand_ros.compiled import run_interpreted; run_interpreted();"
-        "import tactile_hand_ros.orchestrator.execute",
-    ]
-
-    def start(name: str) -> subprocess.CompletedProcess[str]:
-        what = execute if name == "orchestrator" else [str(executable_path(name)), "--help"]
-        command = [sys.executable, "-X", "importtime", *what]
-        # In the root folder, or `-c` would take the tree for the installed package.
-        return subprocess.run(
-            command, cwd="/", capture_output=True, text=True, check=True, timeout=120
-        )
-
-    pool = ThreadPoolExecutor(os.cpu_count())
-    done = {name: pool.submit(start, name) for name in UNNEEDED}
-
-    def modules(name: str) -> set[str]:
-        lines = done[name].result().stderr.splitlines()
-        imported = (line for line in lines if line.startswith("import time:"))
-        return {line.rpartition("|")[2].strip() for line in imported}
-
-    return modules
+# The orchestrator imports the parts for a run only when there is one.
+EXECUTE = (
+    "from tactile_hand_ros.compiled import run_interpreted; run_interpreted();"
+    "import tactile_hand_ros.orchestrator.execute"
+)
 
 
 @pytest.mark.parametrize("name", UNNEEDED)
-def test_an_executable_loads_only_what_it_needs(name, loaded):
-    found = loaded(name)
+def test_an_executable_loads_only_what_it_needs(name):
+    what = ["-c", EXECUTE] if name == "orchestrator" else [str(executable_path(name)), "--help"]
+    command = [sys.executable, "-X", "importtime", *what]
+    # In the root folder, or `-c` would take the tree for the installed package.
+    options = {"cwd": "/", "capture_output": True, "text": True, "check": True, "timeout": 120}
+    lines = subprocess.run(command, **options).stderr.splitlines()
+    imported = (line for line in lines if line.startswith("import time:"))
+    found = {line.rpartition("|")[2].strip() for line in imported}
     assert "rclpy" in found and "tactile_hand_ros.config.model" in found
     assert not found & UNNEEDED[name]

@@ -10,7 +10,6 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -51,18 +50,6 @@ def _each_run_is_made_once() -> Iterator[None]:
         yield
 
 
-@pytest.fixture(scope="module")
-def site(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Path, Future[Any]]]:
-    """Start to build the site, and return its folder; the tests of pages run meanwhile."""
-    folder = tmp_path_factory.mktemp("docs")
-    shutil.copy(ROOT / "mkdocs.yml", folder)
-    shutil.copytree(ROOT / "docs", folder / "docs")
-    command = [Path(sys.executable).with_name("zensical"), "build", "--strict"]
-    options = {"cwd": folder, "env": {**os.environ, "PYTHONPATH": "docs"}, "text": True}
-    with ThreadPoolExecutor() as pool:
-        yield folder, pool.submit(subprocess.run, command, capture_output=True, **options)
-
-
 def page(name: str) -> str:
     return (ROOT / name).read_text("utf-8")
 
@@ -84,7 +71,6 @@ def check_agreement(redrawn: str, text: str) -> None:
     assert not stale, f"run `make docs-figures`:\n{stale}"
 
 
-@pytest.mark.usefixtures("site")
 def test_the_tutorial_shows_what_its_commands_print(tmp_path, monkeypatch):
     text = page("docs/tutorials/getting-started.md")
 
@@ -227,10 +213,14 @@ def test_links_into_the_tree_lead_somewhere(name):
             assert anchor in [title.lower().replace(" ", "-") for title in titles], link
 
 
-def test_the_site_builds_without_warnings_and_needs_no_network(site):
-    built = site[1].result()
+def test_the_site_builds_without_warnings_and_needs_no_network(tmp_path):
+    shutil.copy(ROOT / "mkdocs.yml", tmp_path)
+    shutil.copytree(ROOT / "docs", tmp_path / "docs")
+    command = [Path(sys.executable).with_name("zensical"), "build", "--strict"]
+    options = {"cwd": tmp_path, "env": {**os.environ, "PYTHONPATH": "docs"}, "text": True}
+    built = subprocess.run(command, capture_output=True, **options)
     assert built.returncode == 0 and "No issues found" in built.stderr, built.stdout + built.stderr
-    pages = {path.stem: path.read_text("utf-8") for path in (site[0] / "site").rglob("*.html")}
+    pages = {path.stem: path.read_text("utf-8") for path in (tmp_path / "site").rglob("*.html")}
     for name, text in pages.items():
         assert not re.search(r"<(?:script|link|img)[^>]*(?:src|href)=.?https?:", text), name
     assert "<math" in pages["overview"] and "front_door.simulate" in pages["api"]
