@@ -298,8 +298,9 @@ class GuardHold:
         return max(1.0, min(limit, 1.0 + float(np.min(joints, initial=np.inf))))
 
     def brake(self, theta: Array, rates: Array) -> None:
-        """Come to rest from angles, rad, and rates, rad/s; the internal force stays."""
-        self._start, self._speed, self._ticks = theta.copy(), rates.copy(), 0
+        """Come to rest from angles, rad, and rates, rad/s; internal force and load stay."""
+        # Without the deflection that carries it, the load would move the joints at each new start.
+        self._start, self._speed, self._ticks = theta + self._deflected, rates.copy(), 0
         self.reference = self._start, self._speed
 
     def step(self, joints: tuple[Array, Array] | None, terms: Dynamics, *, follows: bool) -> Array:

@@ -45,6 +45,17 @@ def test_a_starved_computer_costs_no_object_and_little_way():
     assert not seen.dropped and seen.moved < 0.006 and seen.peak < 60.0
 
 
+@pytest.mark.parametrize("seed", [2, 3])
+def test_where_a_computer_stays_starved_a_soft_hold_does_not_let_the_object_creep(
+    monkeypatch, seed
+):
+    """Commands return for moments; a hold that then lost its load moved the object 15 mm."""
+    monkeypatch.setattr("studies.faults.in_process.FAULT_TIME", 4.0)
+    run = Injection("processes", "human, pulled", "computer", "starved", seed)
+    seen = run_in_process(run)
+    assert not seen.dropped and seen.moved < 0.003
+
+
 def test_without_a_fault_nothing_is_declared():
     seen = run_in_process(injection("lifting", "user commands", "none"))
     assert not seen.dropped and seen.safe is None and seen.recovered == 0.0
