@@ -56,7 +56,7 @@ export function breaks(source, act) {
   const asked = async () => {
     const value = skin.map((each) => each.value);
     if ((await act({ do: "set", node: "tactile_sensor", name: "faults", value })).ok) inForce = value;
-    else show();
+    show();
   };
   const skin = source.run.fingers.map(({ name }) => choice(name.replaceAll("_", " "), source.run.faults, asked));
   choice("link of this tab", LINK_FAULTS, (select) => (source.fault = select.value));
