@@ -181,11 +181,13 @@ class CockpitNode(TactileNode[CockpitConfig]):
         joints = ContentReader("sensor_msgs/msg/JointState")(data).texts[1:]
         tips = {tip.tip: (tip.name, tip.radius) for tip in self._hand.fingers}
         self._tree = model.hand_tree(self._description, joints, tips)
-        before, self._watch = self.picture, Watch()
+        self._watch = Watch()
+        self._events.clear()
+        self._on_status()  # before the picture, which would else come with old events
+        before = self.picture
         self.picture = Picture(self._hand.finger_names, joints, before.epoch + 1)
         if before.epoch < 0:  # the first target may come before the first ticks
             self.picture.desired = before.desired
-        self._events.clear()
 
     def event(self, kind: str, text: str, finger: str = "", stamp: int | None = None) -> None:
         """Add an event of a tick, ns, or of now."""

@@ -59,7 +59,8 @@ def test_an_example_runs_and_prints_its_result(name, tmp_path):
 
 @pytest.mark.usefixtures("domain")
 def test_the_example_that_drives_a_running_hand_prints_where_it_is(tmp_path):
-    words = ("paper", "--interactive", "--out", str(tmp_path / "runs"), "--set", "targets=[]")
+    options = ("--interactive", "--composed", "--out", str(tmp_path / "runs"))
+    words = ("paper", *options, "--set", "targets=[]")
     with start_executable("orchestrator", *words) as hand:
         hand.wait_for_output("t = ", PATIENCE)
         check(DRIVES, tmp_path)

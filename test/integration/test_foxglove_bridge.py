@@ -8,6 +8,7 @@ import json
 import re
 import struct
 from collections.abc import Iterator
+from functools import partial
 from typing import Any
 
 import aiohttp
@@ -26,6 +27,7 @@ from tactile_hand_ros.scenario.scenario import load_scenario
 SCENARIO = load_scenario("gravity", {"duration": 3600.0, "plant.speed": 1.0})
 PATIENCE = 60.0  # s
 OPTIONS = ("-p", "port:=0", "-p", "commands:=true")
+ACCEPTED = {names.CONTROLLER: names.ACCEPTED_POSE, names.REGULATOR: names.ACCEPTED_FORCE}
 SOCKET = r"foxglove: (ws://127\.0\.0\.1:\d+)"
 
 
@@ -125,6 +127,8 @@ def test_a_client_steers_the_hand_and_nothing_else(graph: tuple[Graph, str]) -> 
 
     async def act(client: Client) -> PoseStamped:
         await client.show("/accepted/desired_pose", "/accepted/user_grasp_force", "/joint_command")
+        for node, topic in ACCEPTED.items():  # or an answer could be lost
+            hand.wait(partial(hand.is_heard, node, topic), topic)
         torque = serialize_message(JointState(name=["other"], effort=[1.0]))
         await client.publish(1, "/joint_command", "sensor_msgs/msg/JointState", torque)
         await client.publish(2, "/desired_pose", "geometry_msgs/msg/PoseStamped", b"damaged")

@@ -28,8 +28,9 @@ RECORDED = [*TICK_TOPICS, names.ACCEPTED_POSE]
 
 
 def short(name: str = "paper", **changes: object) -> Scenario:
-    """Return a scenario of 300 ticks that waits for its start."""
-    return load_scenario(name, {"duration": 0.6, "plant.autostart": False, **changes})
+    """Return a scenario of 300 ticks that waits for its start, and for a slow computer."""
+    common = {"duration": 0.6, "plant.autostart": False, "plant.command_timeout": 60.0}
+    return load_scenario(name, {**common, **changes})
 
 
 def record(graph: Graph, output: Path) -> Path:

@@ -41,6 +41,7 @@ duration: 0.6
 targets:
   - {time: 0.0, position: [0.0, 0.0436, 0.4098]}
   - {time: 0.2, position: [0.0, 0.0438, 0.4098]}
+plant: {command_timeout: 60.0}
 goal: {position_error: 0.002, rotation_error: 0.02}
 """
 TICKS = 301
@@ -60,7 +61,8 @@ def start(domain: int, tmp_path: Path) -> Iterator[Callable[..., CapturedProcess
     with ExitStack() as stack:
 
         def _start(*arguments: object, env: dict[str, str] | None = None) -> CapturedProcess:
-            words = [str(argument) for argument in (*arguments, "--out", tmp_path / "runs")]
+            given = ("--startup-timeout", PATIENCE, *arguments, "--out", tmp_path / "runs")
+            words = [str(argument) for argument in given]
             return stack.enter_context(start_executable("orchestrator", *words, env=env))
 
         yield _start
@@ -135,8 +137,9 @@ def test_run_reaches_its_goal_and_is_recorded_completely(domain, tmp_path):
     )
     (home / "mine.yaml").write_text(f"law: my_law:MyLaw\n{NEAR}")
     unset = {key: text for key, text in os.environ.items() if key != "AMENT_PREFIX_PATH"}
+    patient = ("--startup-timeout", str(PATIENCE))
     done = subprocess.run(
-        [sys.executable, "-m", "tactile_hand_ros.cli", "run", home / "mine.yaml"],
+        [sys.executable, "-m", "tactile_hand_ros.cli", "run", home / "mine.yaml", *patient],
         cwd=home,
         env=unset,
         capture_output=True,

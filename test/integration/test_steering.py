@@ -26,7 +26,8 @@ POSES = [(0.0, 0.0436, 0.4098 + 1e-4 * i) for i in range(8)]
 @pytest.fixture
 def hand(domain: int, tmp_path: Path) -> Iterator[CapturedProcess]:
     """Return an orchestrator with a hand that runs until a signal."""
-    words = ("paper", "--interactive", "--out", str(tmp_path / "runs"), "--set", "targets=[]")
+    options = ("--interactive", "--startup-timeout", str(PATIENCE), "--out", str(tmp_path / "runs"))
+    words = ("paper", *options, "--set", "targets=[]")
     with start_executable("orchestrator", *words) as process:
         process.wait_for_output("t = ", PATIENCE)
         yield process

@@ -177,6 +177,10 @@ class Graph:
         """Return whether a node's subscription has matched a publisher."""
         return self._ends(self.full(name), SUBSCRIPTIONS).get(self.full(topic), 0) >= 1
 
+    def is_heard(self, name: str, topic: str) -> bool:
+        """Return whether a node's publisher has matched a subscription."""
+        return self._ends(self.full(name), PUBLICATIONS).get(self.full(topic), 0) >= 1
+
     def wait(self, condition: Callable[[], Any], what: str) -> Any:
         """Wait for a condition; all processes that were not killed must stay alive."""
 

@@ -77,11 +77,11 @@ def test_the_same_source_runs_without_numba(control):
 
 def test_without_a_place_for_the_cache_it_is_compiled_in_each_process(control):
     assert run(control, CALL, NUMBA_CACHE_DIR="/proc/nowhere") == ("20.0", "")
-    assert not list(control.parent.rglob("*.nbi"))  # also not beside the sources
+    assert not list(control.parent.rglob("*.nbi"))  # nor beside the sources
 
 
 def test_damaged_files_are_compiled_again(control):
-    """The outer function is compiled anew, and loads the inner one, whose file is damaged too."""
+    """Both files are damaged, and both functions are compiled again."""
     assert run(control, CALL) == ("20.0", "")
     for kind in ("*.nbi", "*.nbc"):
         inner, outer = sorted(control.parent.rglob(kind))

@@ -52,17 +52,20 @@ export function breaks(source, act) {
     return select;
   };
   let inForce = [];
+  let choices = 0; // an answer to an older one must not undo a newer one
   const show = () => skin.forEach((each, i) => (each.value = inForce[i] ?? "none"));
   const asked = async () => {
-    const value = skin.map((each) => each.value);
+    const [value, mine] = [skin.map((each) => each.value), ++choices];
     if ((await act({ do: "set", node: "tactile_sensor", name: "faults", value })).ok) inForce = value;
-    show();
+    if (mine === choices) show();
   };
   const skin = source.run.fingers.map(({ name }) => choice(name.replaceAll("_", " "), source.run.faults, asked));
   choice("link of this tab", LINK_FAULTS, (select) => (source.fault = select.value));
   const load = async () => {
+    const mine = choices;
     const { ok, text } = await source.ask({ do: "parameters", node: "tactile_sensor" });
-    if (ok) inForce = JSON.parse(text).find((one) => one.name === "faults").value;
+    if (!ok || mine !== choices) return;
+    inForce = JSON.parse(text).find((one) => one.name === "faults").value;
     show();
   };
   return { element, update: () => {}, load };

@@ -7,6 +7,7 @@ import { rowOf } from "../data.js";
 import { segments } from "../scene/lines.js";
 
 const PERIOD = 33; // ms between two commands of a drag; a push is renewed as often
+const SHOWN = 300; // ms until a goal that was commanded is shown, or refused
 const GONE = 500; // ms without a contact
 const WIDTHS = 4; // object radii that the mouse moves for the largest force
 
@@ -151,7 +152,7 @@ export class Handles {
 
   /** Follow the goal, or the grasp before there is one. */
   follow() {
-    if (this.controls.dragging || !this.mode) return;
+    if (this.controls.dragging || !this.mode || performance.now() - this.sent < SHOWN) return;
     const { columns } = this.source.run;
     const row = this.scene.row;
     for (const name of ["desired", "auxiliary"]) {
