@@ -28,7 +28,7 @@ EXAMPLES = {
     "grasp": "grasp my/my_hand.yaml 0.06",
     "release": "release --namespace /left",
     "show": "show human_pull",
-    "hand": "hand my/hand.yaml",
+    "hand": "hand my/my_hand.yaml",
     "sweep": 'sweep paper --over "calibration.link_lengths=0.9..1.1"',
     "reproduce": "reproduce --layout pinch",
     "report": "report runs/latest --out .",

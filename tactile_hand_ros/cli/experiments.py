@@ -68,19 +68,21 @@ def sweep(
         list[str] | None,
         typer.Option(
             metavar="PATH=VALUES",
-            help="What is varied: LOW..HIGH, LOW..HIGH/LEVELS, LOW..HIGH:log or A,B,C.",
+            help="Parameter to vary: LOW..HIGH, LOW..HIGH/LEVELS, LOW..HIGH:log or A,B,C.",
         ),
     ] = None,
     changes: Annotated[
         list[str] | None,
-        typer.Option("--set", metavar="KEY=VALUE", help="What stays fixed, as duration=2."),
+        typer.Option("--set", metavar="KEY=VALUE", help="Fixed value, such as duration=2."),
     ] = None,
     runs: Annotated[
         int, typer.Option(help="Number of runs, where a range has no levels.", min=1)
     ] = 100,
     seed: SeedOption = 0,
     jobs: JobsOption = -1,
-    cluster: Annotated[str, typer.Option(help="Dask scheduler, as tcp://127.0.0.1:8786.")] = "",
+    cluster: Annotated[
+        str, typer.Option(help="Dask scheduler, such as tcp://127.0.0.1:8786.")
+    ] = "",
     out: Annotated[Path, typer.Option(help="Folder of the results.")] = Path("sweep"),
 ) -> None:
     """Map how the outcome of a scenario depends on its parameters.

@@ -37,10 +37,12 @@ def find_grasp(
         TactileHandError: If the edges or the hand cannot be used, or no grasp was found.
     """
     counts = (1, 3) if shape == "box" else (1, 2, 3)
+    what = "" if shape == "box" else ", or diameter and length"
+    expected = f"one or three positive lengths{what}"
     if len(edges) not in counts or not all(0.0 < edge < math.inf for edge in edges):
         raise TactileHandError(
-            f"the {shape} has the edges {list(edges)}, expected one or three positive lengths in "
-            f"m, or diameter and length of a round one, as `tactile-hand grasp {hand} 0.05`"
+            f"a {shape} of {list(edges)} m: expected {expected}, "
+            f"such as `tactile-hand grasp {hand} 0.05`"
         )
     size = [edges[0], edges[min(1, len(edges) - 2)], edges[-1]]
     body = ObjectConfig().changed({"shape": shape, "size": size, "friction": friction})

@@ -21,6 +21,12 @@ _SCENARIO = "gravity"
 class LiveOptions(RunOptions):
     """The options of a run, and those of its page."""
 
+    scenario: Annotated[
+        str | None,
+        typer.Argument(
+            help="Scenario by name or YAML file, 'gravity' by default.", show_default=False
+        ),
+    ] = None
     port: Annotated[
         int, typer.Option(help="Port of the page; 0 for any free one.", min=0, max=65535)
     ] = 0
@@ -32,12 +38,12 @@ class LiveOptions(RunOptions):
 
 @with_options
 def live(options: LiveOptions) -> None:
-    """Run a scenario, watch it in a page, steer it, pull at the object, break it.
+    """Watch, steer and disturb a run in the browser.
 
     Prints the link of the page and opens it. The nodes share one process, in lockstep at the speed
-    of real time; --processes and --pacing realtime change that. The scenario is 'gravity' by
-    default. The run lasts until Ctrl-C; no goal is judged, only whether the object fell. Exit codes
-    are those of `run`.
+    of real time; --processes and --pacing realtime change that. The run lasts until Ctrl-C, so
+    --duration and --interactive have no effect. It is judged only by whether the object fell. Exit
+    codes are those of `run`.
     """
     if options.bag is not None:
         _show(options.bag, options.browser)

@@ -26,9 +26,7 @@ def _number_of_processes(jobs: int) -> int:
 
 JobsOption = Annotated[
     int,
-    typer.Option(
-        help="Number of processes; -1 for one on each core.", callback=_number_of_processes
-    ),
+    typer.Option(help="Number of processes; -1 for one per core.", callback=_number_of_processes),
 ]
 
 

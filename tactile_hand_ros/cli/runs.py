@@ -67,16 +67,16 @@ def replay(
     rate: Annotated[float, typer.Option(metavar="FACTOR", help="Times the original speed.")] = 1.0,
     topics: Annotated[
         list[str] | None,
-        typer.Option(help="Only topics whose whole name matches; may be repeated."),
+        typer.Option(help="Regular expression for whole topic names; may be repeated."),
     ] = None,
     exclude: Annotated[
         list[str] | None,
-        typer.Option(help="Not the topics whose whole name matches; may be repeated."),
+        typer.Option(help="The same, for topics to skip; may be repeated."),
     ] = None,
-    namespace: Annotated[str, typer.Option(help="Put before the names, as /left.")] = "",
+    namespace: Annotated[str, typer.Option(help="Prefix for the names, such as /left.")] = "",
     recompute: Annotated[
         bool,
-        typer.Option("--recompute", help="Publish nothing: ask the controllers again, compare."),
+        typer.Option("--recompute", help="Rerun the controllers and compare; publish nothing."),
     ] = False,
     law: Annotated[
         str, typer.Option(help="With --recompute: another law, or your own, as MODULE:CLASS.")
@@ -155,7 +155,7 @@ def recover(
     ] = None,
     last: Annotated[float, typer.Option(help="Seconds to keep; 0 keeps all.", min=0.0)] = 0.0,
 ) -> None:
-    """Recover a bag that was cut off, from any recorder, or copy its last seconds."""
+    """Recover a truncated bag, or copy its last seconds."""
     from tactile_hand_ros.bag import recover as r
 
     new = r.recover(bag, out, last)

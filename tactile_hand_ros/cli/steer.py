@@ -15,12 +15,10 @@ import typer
 if TYPE_CHECKING:
     from tactile_hand_ros.orchestrator.steering import HandClient
 
-NamespaceOption = Annotated[str, typer.Option(help="Namespace of the hand, as /left.")]
+NamespaceOption = Annotated[str, typer.Option(help="Namespace of the hand, such as /left.")]
 TimeoutOption = Annotated[
     float,
-    typer.Option(
-        min=0.1, metavar="SECONDS", help="Longest wait for the hand and for its answer [s]."
-    ),
+    typer.Option(min=0.1, metavar="SECONDS", help="Timeout for the hand and for its answer [s]."),
 ]
 
 _TIMEOUT = 5.0
@@ -85,15 +83,19 @@ def grasp(
     ] = "box",
     friction: Annotated[float, typer.Option(help="Friction coefficient.", min=0.01)] = 0.5,
     mass: Annotated[
-        float, typer.Option(metavar="KG", help="Mass of the box [kg]; 0 for what fits.", min=0.0)
+        float,
+        typer.Option(
+            metavar="KG", help="Mass [kg]; 0 for a fifth of the limit, at most 0.2.", min=0.0
+        ),
     ] = 0.0,
     out: Annotated[Path, typer.Option(help="Folder of scenario and picture.")] = Path("my"),
     namespace: NamespaceOption = "",
     timeout: TimeoutOption = _TIMEOUT,
 ) -> None:
-    """Close the fingers of a running hand, or find a grasp of HAND and write a scenario.
+    """Close the fingers, or find a grasp of HAND.
 
-    Without HAND the fingers of the running hand close until all touch.
+    Without HAND, the fingers of the running hand close until all touch. With HAND and EDGE, search
+    for grasps of an object and write a scenario that is ready to run.
     """
     if hand:
         from tactile_hand_ros.cli.grasps import find_grasp

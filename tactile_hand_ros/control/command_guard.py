@@ -48,7 +48,9 @@ class GuardConfig(Config):
     age_limit: int = param(
         3, "ticks by which a command may be older than the newest tick", unit="ticks", ge=0, le=1000
     )
-    torque_rate: float = param(0.0, "fastest change of a torque, 0 for any", unit="N m/s", ge=0.0)
+    torque_rate: float = param(
+        0.0, "fastest change of a torque, 0 for no limit", unit="N m/s", ge=0.0
+    )
     speed_limit: float = param(
         0.0, "joint speed from which the joints are held, 0 for the URDF's", unit="rad/s", ge=0.0
     )

@@ -111,7 +111,7 @@ class ControllerConfig(Config):
     )
     force_tolerance: float = param(
         0.3,
-        "largest error of the measured forces against the joint torques, as a fraction, 0 for any",
+        "largest error of the measured forces against the joint torques, as a fraction, 0 to skip",
         live=True,
         ge=0.0,
     )
@@ -123,7 +123,9 @@ class ControllerConfig(Config):
         ge=0.0,
         le=0.5,
     )
-    grasp_force_limit: float = param(0.0, "largest k_f, 0 for any", unit="N", live=True, ge=0.0)
+    grasp_force_limit: float = param(
+        0.0, "largest k_f, 0 for no limit", unit="N", live=True, ge=0.0
+    )
     input_timeout: float = param(
         0.5,
         "time without valid touch, f* or k_f, by the stamps of joint states, after which the hand "
@@ -717,9 +719,9 @@ class Controller:
         if required > has:
             rate = 1.0 / self._period
             self.warning = (
-                f"without inputs this grasp would buckle: at {rate:.0f} Hz the hold has a "
-                f"bandwidth of {has:.0f} rad/s, k_f = {now.grasp_force:.3g} N needs "
-                f"{required:.0f} rad/s, about {rate * required / has:.0f} Hz"
+                f"if inputs stop, this grasp would buckle: at {rate:.0f} Hz the hold has a "
+                f"bandwidth of {has:.0f} rad/s, but k_f = {now.grasp_force:.3g} N needs "
+                f"{required:.0f} rad/s; raise the rate to {rate * required / has:.0f} Hz"
             )
 
     def _implausible(self, optimal_forces: Array, grasp_force: float) -> str:

@@ -47,7 +47,7 @@ def cockpit(
             try:
                 processes.check()
             except NodeDiedError as error:
-                console.print(f"{error}; the run goes on without its page", soft_wrap=True)
+                console.print(f"{error}; the run continues without its page", soft_wrap=True)
                 return
             lines = [line for line in processes.tail(COCKPIT) if line.startswith(LINK)]
             if lines:

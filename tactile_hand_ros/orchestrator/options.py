@@ -28,7 +28,7 @@ class RunOptions:
         ),
     ] = None
     named: Annotated[
-        str | None, typer.Option("--scenario", help="The same as an option.", show_default=False)
+        str | None, typer.Option("--scenario", help="Scenario, as an option.", show_default=False)
     ] = None
     interactive: Annotated[
         bool, typer.Option("--interactive", help="Keep the hand alive until Ctrl-C.")
@@ -42,9 +42,11 @@ class RunOptions:
     ] = None
     changes: Annotated[
         list[str],
-        typer.Option("--set", metavar="KEY=VALUE", help="Another value, as plant.rate=250."),
+        typer.Option(
+            "--set", metavar="KEY=VALUE", help="Override a value, such as plant.rate=250."
+        ),
     ] = field(default_factory=list)
-    out: Annotated[Path, typer.Option(help="Where the runs are kept.")] = Path("runs")
+    out: Annotated[Path, typer.Option(help="Folder of all runs.")] = Path("runs")
     record: Annotated[bool, typer.Option(help="Record a bag.")] = True
     report: Annotated[bool, typer.Option(help="Write report.html of what was recorded.")] = True
     composed: Annotated[
@@ -56,10 +58,10 @@ class RunOptions:
             show_default=False,
         ),
     ] = None
-    namespace: Annotated[str, typer.Option(help="Namespace of all nodes, as /left.")] = ""
+    namespace: Annotated[str, typer.Option(help="Namespace of all nodes, such as /left.")] = ""
     startup_timeout: Annotated[
         float,
-        typer.Option(min=0.1, metavar="SECONDS", help="Longest wait for all nodes [s]."),
+        typer.Option(min=0.1, metavar="SECONDS", help="Startup timeout [s]."),
     ] = 30.0
     priority: Annotated[
         int, typer.Option(help="Priority of the nodes under SCHED_FIFO, 1 to 99; 0 for none.")

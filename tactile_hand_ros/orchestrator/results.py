@@ -25,7 +25,7 @@ EXIT_DROPPED = 3
 INCOMPLETE = "incomplete"
 _CTRL_C = 130  # exit code
 # Rows of the metrics table that are shown with their goals instead.
-_JUDGED = ("final position error", "final orientation error |r_d|", "longest slip", "goal")
+_JUDGED = ("final position error", "final rotation error", "longest slip", "goal")
 
 
 @dataclass

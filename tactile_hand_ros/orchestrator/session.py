@@ -233,10 +233,10 @@ class Session:
         while end is None or outcome.last_tick < end:
             self.signals.wait(_FIRST_LOOK if outcome.last_tick < 0 else _LOOK)
             self._processes.check()
-            before, outcome.last_tick = outcome.last_tick, monitor.answered()
+            outcome.last_tick = monitor.answered()
             steering.send_forces(outcome.last_tick)
             now = time.monotonic()
-            if before < 0 <= outcome.last_tick:
+            if outcome.first_tick is None and outcome.last_tick >= 0:
                 outcome.first_tick = round(_process_age(), 3)
             if stall.step(now, outcome.last_tick, monitor.of(PLANT).get("mode", "")):
                 raise StallError(_stall(monitor))

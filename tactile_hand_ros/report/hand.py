@@ -86,7 +86,7 @@ def notes(hand: Hand) -> list[str]:
             "under 'limits' in the YAML, or under 'couplings' for a joint that follows another"
         )
     if not LinkCollisions(hand, Solid.box(np.ones(3))).names:
-        found.append("without collision shapes of links, no check sees them inside an object")
+        found.append("without collision shapes of links, no check can detect them in an object")
     return found
 
 

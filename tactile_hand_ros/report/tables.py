@@ -37,7 +37,7 @@ def _held_rows(m: Metrics) -> list[list[str]]:
     """Return the final metrics that exist only if the object is still in the hand."""
     rows = [
         ["final position error", milli(m.final_position_error_m, "m")],
-        ["final orientation error |r_d|", number(m.final_rotation_error_rad, "rad")],
+        ["final rotation error", milli(m.final_rotation_error_rad, "rad")],
         ["settling time", number(m.settling_time_s, "s")],
         ["k_f", number(m.final_grasp_force_N, "N")],
         ["sum of f_n", _with_error(m.normal_force_sum_N, m.normal_force_sum_relative_error)],

@@ -147,7 +147,7 @@ def _grasp_kept(outcomes: Outcomes) -> Finding:
 
 
 @_claim(
-    "Fig. 4, Sec. III", "Penalising tangential forces reduces the friction that each contact needs."
+    "Fig. 4, Sec. III", "Penalizing tangential forces reduces the friction that each contact needs."
 )
 def _friction(outcomes: Outcomes) -> Finding:
     penalised = outcomes["optimal"].metrics.final_required_friction
@@ -159,7 +159,7 @@ def _friction(outcomes: Outcomes) -> Finding:
         for name in penalised
     )
     measured = (
-        f"beta, nominal -> penalised: {listed}; the grasp as a whole needs "
+        f"beta, nominal -> penalized: {listed}; the grasp as a whole needs "
         f"{worst[1]:.3f} -> {worst[0]:.3f}"
     )
     return measured, all(less), any(less)

@@ -72,7 +72,7 @@ def draw(result: Reproduction, folder: Path) -> list[Path]:
         "fig2": grasp_figure(runs["optimal"], result.outcomes["optimal"].scenario),
         "fig3": motion_figure(runs["optimal"]),
         "fig4": friction_figure(
-            {"tangential forces penalised": runs["optimal"], "nominal, W = I": runs["nominal"]}
+            {"tangential forces penalized": runs["optimal"], "nominal, W = I": runs["nominal"]}
         ),
     }
     return [

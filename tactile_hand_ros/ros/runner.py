@@ -17,6 +17,7 @@ from rclpy.exceptions import InvalidHandle, NotInitializedException
 from rclpy.node import Node
 from rclpy.utilities import remove_ros_args
 
+from tactile_hand_ros.config.paths import use_own_prefix
 from tactile_hand_ros.errors import TactileHandError
 from tactile_hand_ros.ros.executor import spin
 from tactile_hand_ros.ros.middleware import arguments_checked, use_sockets
@@ -138,6 +139,7 @@ def _init(line: list[str], described: Sequence[Callable[..., Any]]) -> int:
     how = "run under SCHED_FIFO, 1 to 99"
     parser.add_argument(PRIORITY, type=parse_priority, default=0, metavar="N", help=how)
     use_sockets()
+    use_own_prefix()  # without it, no type of message is found
     with arguments_checked():
         options = parser.parse_args(remove_ros_args(args=line)[1:])
         rclpy.init(args=line)

@@ -106,7 +106,7 @@ _Line = tuple[str, str, str, float, bool]
 """Name, meaning, margin, limit, and whether smaller is better."""
 
 _LINES: tuple[_Line, ...] = (
-    ("A1", "rigid polyhedron, contacts on its faces", "contacts wandered over the tips, m",
+    ("A1", "rigid polyhedron, contacts on its faces", "contact travel over the tips, m",
      math.nan, True),
     ("A2", "contacts on the hemispheres of the tips", "angle left to their rim, rad",
      0.0, False),

@@ -85,9 +85,9 @@ class GoalConfig(Config):
     """Limits within which the last target counts as reached."""
 
     position_error: float = param(0.001, "largest final position error", unit="m", gt=0.0)
-    rotation_error: float = param(0.01, "largest final orientation error |r_d|", unit="rad", gt=0.0)
+    rotation_error: float = param(0.01, "largest final rotation error |r_d|", unit="rad", gt=0.0)
     slip_distance: float = param(
-        UNLIMITED_SLIP, "largest distance that a contact may slide in all", unit="m", gt=0.0
+        UNLIMITED_SLIP, "largest total slip distance of a contact", unit="m", gt=0.0
     )
 
 
@@ -183,7 +183,7 @@ class Scenario(Config):
         """
         data = plain(self)
         put_changes(data, changes)
-        wanted = validate(Scenario, data, "the changed scenario")
+        wanted = validate(Scenario, data, "the scenario with these changes")
         if any(key.split(".")[0] in ("law", CONTROLLER) for key in changes):
             take_law(wanted.manipulation_controller.law)
         return wanted
