@@ -54,6 +54,8 @@ _MOVES_UNTIL = 0.8  # fraction of the limit of k_f at which a move stops, before
 _FIRST_PERIOD = 0.01  # s between ticks, assumed before the second tick
 _INTERVALS = 32  # between ticks; a quarter is shorter than the period, as stamps jitter, and many
 # are longer on a busy computer, which skips ticks
+_OPPOSES = 0.4  # of the normal forces: a finger that opposes all others has half, one of three a
+# third
 _NEW_PERIOD = 0.2  # relative change of the period for which gains are fitted again
 
 NO_POSES = (
@@ -177,7 +179,7 @@ class Command(NamedTuple):
 
 
 class _Tick(NamedTuple):
-    """Input of `Controller.step` from the fingers that hold, and the time to integrate, s."""
+    """Input of `Controller.step`, or its part from the fingers that hold; time to integrate, s."""
 
     stamp: int
     theta: Array
@@ -188,6 +190,12 @@ class _Tick(NamedTuple):
     forces: Array | None
     applied: Array | None
     elapsed: float
+
+    def part(self, fingers: NDArray[np.bool_]) -> _Tick:
+        """Return the input from the fingers in a mask of shape (k,)."""
+        forces = None if self.forces is None else self.forces[fingers]
+        touch = self.contacts.part(fingers), self.optimal_forces[fingers]
+        return self._replace(contacts=touch[0], optimal_forces=touch[1], forces=forces)
 
 
 class Controller:
@@ -224,8 +232,8 @@ class Controller:
         self.enabled = True
         self.joints_held = False
         self._palm: Array | None = None  # rotation in the world by the imu
-        # Bandwidth that a hold needs per root of k_f, and its bandwidth, rad/s.
-        self._required: tuple[float, float] | None = None
+        # Bandwidth that a hold needs per root of k_f, rad/s, and M_h there.
+        self._required: tuple[float, Array] | None = None
         self.targets = TargetQueue(self.hand, NO_POSES if config.law.name == "grip" else "")
         self.reset()
 
@@ -269,6 +277,7 @@ class Controller:
         self._touching, self._fingers = touching, self.hand.part(touching)
         self._inputs = InputCheck(self._fingers)
         self._room: Array | None = None  # largest during the present move, see `room`
+        self._shape = np.zeros((self._fingers.fingers, 3))  # the last f* with the touch of all
         self._late_touch = LateTouch(self._fingers)
         self._unfelt_touch = UnfeltTouch(self._fingers)
         self._unfelt = np.zeros(self._fingers.fingers, dtype=bool)  # of these: press, but unfelt
@@ -285,6 +294,7 @@ class Controller:
 
     def _enter(self, mode: Mode, theta: Array) -> None:
         """Change the state; a hold keeps the posture at its start, shape (m,), rad."""
+        self._theta = theta
         if mode is self._mode:
             return
         # The spring of a kept posture carries the load.
@@ -328,7 +338,7 @@ class Controller:
         grasp = self.targets.grasp
         if grasp is None:
             raise GraspError("there is no grasp to release; let all fingers touch first")
-        self._regrasp.leave(grasp.theta, grasp.contacts)
+        self._regrasp.leave(self._theta, grasp.contacts)
 
     @property
     def is_open(self) -> bool:
@@ -382,14 +392,8 @@ class Controller:
                 return self._open(theta, rates, contacts, dt)
             dt = 0.0  # no time has passed in the new grasp
         self.touch_rejected = np.zeros(self.hand.fingers, dtype=bool)
-        is_blind = self._mode in (Mode.DRIVE, Mode.HOLD) and not self._enough(contacts)
-        held = self._touching if is_blind else contacts.touching
-        touch = forces if forces is None else forces[held]
-        measured = contacts.part(held), optimal_forces[held], grasp_force, touch, applied
-        now = _Tick(stamp, theta, rates, *measured, dt)
-        self._unfelt = np.zeros(len(now.optimal_forces), dtype=bool)
-        if is_blind:
-            now = self._with_unfelt(now, ~now.contacts.touching) or now
+        touch = contacts, optimal_forces, grasp_force, forces
+        held, now = self._holding_part(_Tick(stamp, theta, rates, *touch, applied, dt))
         problem = self._missing(contacts, now)
         if problem:
             self._inputs.start_grasp()
@@ -407,6 +411,22 @@ class Controller:
             return self._drive(now, tips, contacts)
         except GraspError as error:
             return self._holding(theta, rates, str(error), applied=applied)
+
+    def _holding_part(self, whole: _Tick) -> tuple[NDArray[np.bool_], _Tick]:
+        """Return which fingers hold, shape (k,), and their input, the joints replacing lost touch.
+
+        Where the touching fingers cannot hold alone, those that held before count: either they
+        press unfelt, or they have left and nothing holds.
+        """
+        touching, before = whole.contacts.touching, self._touching
+        if self._mode in (Mode.DRIVE, Mode.HOLD) and self._needs_unfelt(whole.contacts):
+            self._unfelt = np.zeros(self._fingers.fingers, dtype=bool)
+            now = whole.part(before)
+            filled = self._with_unfelt(now, ~now.contacts.touching)
+            if filled is not None or not self._enough(whole.contacts):
+                return before, filled or now
+        self._unfelt = np.zeros(int(touching.sum()), dtype=bool)
+        return touching, whole.part(touching)
 
     def _with_unfelt(self, now: _Tick, unfelt: NDArray[np.bool_]) -> _Tick | None:
         """Return a tick with the touch of some fingers from their joints, and the last f* of all.
@@ -432,7 +452,8 @@ class Controller:
             contacts = contacts.replaced(self._touching, now.contacts)
         refused = self.targets.take_due(now.stamp, Grasp(now.theta, contacts, pose))
         assert self.targets.target is not None
-        self._law.acts = not self.joints_held
+        # A load that a hold has carried, too, is to be carried from the first tick on.
+        self._law.acts = not (self.joints_held or self._mode is Mode.HOLD)
         passed = 0.0 if self.joints_held else now.elapsed  # the reference waits
         wanted = self._reference.step(self.targets.target, pose, self.config.reference_time, passed)
         refused = self._stopped(now, pose) or refused
@@ -640,8 +661,9 @@ class Controller:
                 return Held(self._none, self._none)  # still unknown
             self._held = Held(applied - self._weight(theta), self._none)
         internal, load, before = self._held
-        if 0.0 < before < grasp_force < math.inf:
-            self._held = Held(grasp_force / before * internal, load, grasp_force)
+        risen = min(grasp_force, self.config.grasp_force_limit or math.inf)
+        if 0.0 < before < risen and grasp_force < math.inf:
+            self._held = Held(risen / before * internal, load, risen)
         return self._held
 
     def _spring(self, theta: Array, rates: Array) -> Array:
@@ -714,8 +736,9 @@ class Controller:
             forces = in_palm(now.contacts.rotations, now.optimal_forces, 1.0)
             inertia = self.hand.dynamics(now.theta, self._none).inertia
             needed = required_bandwidth(self._fingers, now.theta, now.contacts, forces)
-            self._required = needed, self._stiffest(inertia)
-        required, has = math.sqrt(now.grasp_force) * self._required[0], self._required[1]
+            self._required = needed, inertia
+        needed, inertia = self._required
+        required, has = math.sqrt(now.grasp_force) * needed, self._stiffest(inertia)
         if required > has:
             rate = 1.0 / self._period
             self.warning = (
@@ -764,6 +787,11 @@ class Controller:
         self._hold_with(contacts.touching)
         self._new_grasp()
         return True
+
+    def _needs_unfelt(self, contacts: Contacts) -> bool:
+        """Return whether the others cannot hold without the fingers that held and are not felt."""
+        lost = ~contacts.touching[self._touching]
+        return not self._enough(contacts) or float(self._shape[lost, 1].sum()) > _OPPOSES
 
     def _enough(self, contacts: Contacts) -> bool:
         if self.config.law.uses_optimal_forces:

@@ -307,12 +307,12 @@ class GuardHold:
         """Return the holding torque, shape (m,), N m.
 
         `joints` are angles, rad, and rates, rad/s; None if unknown, as if they followed the
-        reference. `terms` is the model at this posture. The internal force follows the load, except
-        while a command takes over, whose drive is not a load.
+        reference under the last load. `terms` is the model at this posture. The internal force
+        follows the load, except while a command takes over, whose drive is not a load.
         """
         acceleration = self._move_reference()
         posture, speed = self.reference
-        theta, rates = joints or self.reference
+        theta, rates = joints or (posture - self._deflected, speed)
         away, w = posture - theta, self.bandwidth
         if follows:
             self._follow_load(terms, away)
@@ -326,10 +326,10 @@ class GuardHold:
         The load is the deflection of the spring, from angles alone and beyond their resolution, so
         that noise of the rates does not count.
         """
-        if self._internal_force < self._hand.minimum_force:
-            return
         fraction = -math.expm1(-self._tick / _LOAD_TIME)
         self._deflected = self._deflected + fraction * (away - self._deflected)
+        if self._internal_force < self._hand.minimum_force:
+            return
         c, stiffness = self._config, self.bandwidth**2 * terms.inertia
         beyond = np.maximum(np.abs(self._deflected) - c.resolution, 0.0)
         deflection = np.sign(self._deflected) * beyond

@@ -8,7 +8,10 @@ import functools
 
 import numpy as np
 import pytest
-from support.outcomes import run_scenario, run_with_failing_skin
+from support.outcomes import run_scenario, run_with_failing_skin, with_failing_skin
+
+from tactile_hand_ros.closed_loop.loop import ClosedLoop
+from tactile_hand_ros.scenario.scenario import load_scenario
 
 CASES = {
     "pulled, off": ("human_pull", 2, "off", 1.0, 3.0),
@@ -38,6 +41,14 @@ def test_the_object_is_kept_and_nothing_slides(name):
     assert record.stamps[-1] > 0 and np.isfinite(record.true_positions[-1]).all()
     assert record.true_slid[-1].max() < 1e-4
     assert np.isfinite(record.auxiliary_position[-1]).all()  # it goes on, without a hold
+
+
+def test_three_fingers_on_one_side_do_not_count_as_a_grasp_without_their_thumb():
+    loop = ClosedLoop(load_scenario("allegro", {"duration": 1.2, "targets": []}))
+    record = with_failing_skin(loop, 3, "off", loop.scenario.ticks // 2)
+    assert np.isfinite(record.auxiliary_position[-1]).all()  # it goes on, without a hold
+    moved = np.diff(record.object_position[[loop.scenario.ticks // 2, -1]], axis=0)
+    assert np.linalg.norm(moved) < 3e-4 and record.true_slid[-1].max() < 1e-4
 
 
 def test_a_pull_displaces_the_object_as_little_as_with_a_whole_skin():

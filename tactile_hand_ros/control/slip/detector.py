@@ -124,6 +124,7 @@ class SlipDetector:
         self._memory["variance"] = self._noise**2
         self._memory["last"] = self._memory["change"] = np.nan
         self._memory["threshold"] = 1.0
+        self._freedoms = 2
 
     @property
     def state(self) -> NDArray[np.int64]:
@@ -161,6 +162,9 @@ class SlipDetector:
             freedoms: Components of a force that are tested: 2 across the internal force, or 1 for
                 normal forces, which must have no internal directions.
         """
+        if freedoms != self._freedoms:  # a change between three axes and one is no vibration
+            self._freedoms = freedoms
+            self._memory["last"] = self._memory["change"] = np.nan
         directions = np.ascontiguousarray(normals), np.ascontiguousarray(internal)
         _watch(self._memory, self._config, forces, *directions, fresh, dt, freedoms)
         return self.state

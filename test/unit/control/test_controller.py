@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The controller: driving, holding, disabled, present and future targets, rejected commands."""
 
+import math
 from itertools import pairwise
 
 import numpy as np
@@ -484,6 +485,18 @@ def test_a_release_starts_at_the_posture_of_the_grasp_without_its_grasp_force(be
     np.testing.assert_allclose(silent.torque, REST, atol=1e-4)
 
 
+def test_a_release_starts_at_the_present_posture_after_a_user_has_moved_the_fingers(bench):
+    bench.step(20)
+    bench.controller.enabled = False
+    there = bench.theta + np.linspace(-0.2, 0.3, 9)
+    bench.step(theta=there)
+    bench.controller.enabled = True
+    bench.controller.release()
+    first = bench.step(theta=there)
+    assert first.mode is Mode.OPEN
+    np.testing.assert_allclose(first.torque, REST, atol=1e-4)
+
+
 def test_fingers_open_at_their_speed_and_make_up_for_no_more_than_50_ms(bench):
     """The held posture, derived from the torques of a spring on a hand that does not move."""
     bench.step()
@@ -553,15 +566,17 @@ def test_after_a_hold_integral_and_reference_go_on_as_if_there_had_been_none(val
     assert np.ptp(torques(0)[20:], axis=0).max() > 1e-3
 
 
-def test_what_a_guard_carries_is_carried_from_the_first_tick_that_acts_again():
+@pytest.mark.parametrize("guarded", [False, True])
+def test_what_a_hold_carries_is_carried_from_the_first_tick_that_acts_again(guarded):
     """A slowly observed load would sag, and make a light hand oscillate at a low rate."""
     light, heavy = np.array([[0.1, 3.0, 0.2]] * 3), np.array([[0.1, 5.0, -1.3]] * 3)
     settled, held = (Bench(law__observer__time=0.05) for _ in range(2))
     settled.step(800, forces=heavy)
     held.step(800, forces=light)
     before = held.step(forces=heavy).torque
-    held.controller.joints_held = True
-    held.step(forces=heavy)
+    held.controller.joints_held = guarded
+    lost = {} if guarded else {"optimal_forces": np.full((3, 3), np.nan)}
+    assert held.step(forces=heavy, **lost).mode is (Mode.DRIVE if guarded else Mode.HOLD)
     held.controller.joints_held = False
     after = held.step(forces=heavy).torque
     wanted = settled.step(forces=heavy).torque
@@ -643,6 +658,13 @@ def test_the_present_latency_and_limits_count():
     slow.controller.configure(slow.controller.config.changed({"hold.latency": 0}))
     slow.step(grasp_force=0.1)
     assert slow.controller.warning == ""
+    slower = Bench(**fitted)
+    slower.step(20)
+    assert slower.controller.warning == ""
+    for _ in range(40):
+        slower.stamp += 9 * TICK
+        slower.step()
+    assert "would buckle: at 50 Hz" in slower.controller.warning
 
 
 @pytest.mark.parametrize("end", ["open", "disabled"])
@@ -676,6 +698,15 @@ def test_a_grasp_force_that_rises_while_a_contact_is_lost_is_held_and_never_fall
     np.testing.assert_array_equal(silent.torque, twice)
     bench.step()
     np.testing.assert_allclose(bench.step(**lost).torque, base, atol=1e-9)
+
+
+def test_also_without_a_contact_the_grasp_force_stays_below_its_limit():
+    bench = Bench(grasp_force_limit=12.0)
+    drive = bench.step().torque
+    lost = {"contacts": bench.nowhere}
+    for k_f in (math.inf, 40.0, 200.0):
+        held = bench.step(grasp_force=k_f, **lost).torque
+        np.testing.assert_allclose(held, drive * (1.0 if k_f == math.inf else 1.2), atol=1e-9)
 
 
 @pytest.mark.parametrize("again", [False, True])

@@ -85,15 +85,27 @@ def test_braking_starts_without_a_step_of_the_torque_and_stops_in_a_spring():
     assert_allclose(found, PRESSED + spring(model.inertia, W, off, STILL), atol=1e-9)
 
 
-def test_a_hold_that_begins_again_elsewhere_still_carries_the_load():
+@pytest.mark.parametrize("pressed", [PRESSED, 0.0 * PRESSED])
+def test_a_hold_that_begins_again_elsewhere_still_carries_the_load(pressed):
     made, model, sag = hold(), terms(THETA, STILL), np.linspace(-0.01, 0.01, 9)
-    made.engage(THETA, STILL, PRESSED)
+    made.engage(THETA, STILL, pressed)
     for _ in range(200):
         before = made.step((THETA + sag, STILL), model, follows=True)
     made.brake(THETA + 0.02, STILL)
     after = made.step((THETA + 0.02, STILL), model, follows=True)
     assert_allclose(after, before, atol=1e-9)
     assert_allclose(made.reference[0], THETA + 0.02 - sag, atol=1e-9)
+
+
+def test_blind_ticks_cost_no_load():
+    made, model, sag = hold(), terms(THETA, STILL), np.linspace(-0.01, 0.01, 9)
+    made.engage(THETA, STILL, PRESSED)
+    for _ in range(200):
+        before = made.step((THETA + sag, STILL), model, follows=True)
+    for _ in range(50):
+        assert_allclose(made.step(None, model, follows=True), before, atol=1e-9)
+    made.brake(THETA + sag, STILL)
+    assert_allclose(made.step((THETA + sag, STILL), model, follows=True), before, atol=1e-9)
 
 
 def factor_under(made, load: float, ticks: int = 200) -> float:
