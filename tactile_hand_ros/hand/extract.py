@@ -65,6 +65,10 @@ def take_hand(root: Element, config: HandConfig, name: str) -> dict[str, Couplin
             limits, or a coupling has no leader of its own.
     """
     joints = {str(joint.get("name")): joint for joint in root.findall("joint")}
+    for joint in joints.values():
+        if joint.get("type") == "continuous":
+            joint.set("type", "revolute")
+            _limit(joint, {"lower": -_TURN, "upper": _TURN})
     for limited, limit in config.limits.items():
         if limited not in joints:
             raise _unknown(limited, "limits", joints, name)
@@ -78,9 +82,6 @@ def take_hand(root: Element, config: HandConfig, name: str) -> dict[str, Couplin
             for tag in ("axis", "limit", "mimic", "dynamics"):
                 for element in joint.findall(tag):
                     joint.remove(element)
-        elif joint.get("type") == "continuous":
-            joint.set("type", "revolute")
-            _limit(joint, {"lower": -_TURN, "upper": _TURN})
         if joint.get("type") in _MOVES:
             _check_limit(joint, own in couplings, name)
     return {follower: each for follower, each in couplings.items() if follower in used}

@@ -157,8 +157,7 @@ class Hand:
         """
         self.description, self.couplings = describe(config, layout)
         self.model = _model(self.description, config)
-        if link_lengths != 1.0:
-            _stretch(self.model, link_lengths)
+        _stretch(self.model, link_lengths)
         fingers, self.tip_errors = fitted_tips(config, self.description)
         self.tip_frames = [_tip_frame(self.model, finger) for finger in fingers]
         self._data = self.model.createData()
@@ -171,6 +170,7 @@ class Hand:
         self._spatial, self._inertia, self._bias = self._data.J, self._data.M, self._data.nle
         self._centers = [self._data.oMf[frame].translation for frame in self.tip_frames]
         self._turned: pin.Model | None = None  # with a palm that moves
+        self._link_lengths = link_lengths
         self.gravity = np.zeros(3) if gravity is None else np.asarray(gravity)
         self.fingers = len(self.tip_frames)
         self.joints = len(driven)
@@ -297,6 +297,7 @@ class Hand:
         """
         if self._turned is None:
             self._turned = pin.buildModelFromXML(self.description, pin.JointModelFreeFlyer())
+            _stretch(self._turned, self._link_lengths, palm=1)
             self._turned.gravity.linear = np.zeros(3)
             self._turned_data = self._turned.createData()
         rates = self._all_rates(rates)
@@ -329,15 +330,15 @@ class Hand:
         return chains
 
 
-def _stretch(model: pin.Model, factor: float) -> None:
-    """Scale all links that move with a joint; the places of the fingers stay."""
-    for joint in range(1, model.njoints):
+def _stretch(model: pin.Model, factor: float, palm: int = 0) -> None:
+    """Scale all links behind the joint of the palm; the places of the fingers stay."""
+    for joint in range(palm + 1, model.njoints):
         model.inertias[joint].lever = factor * model.inertias[joint].lever
-        if model.parents[joint] > 0:
+        if model.parents[joint] > palm:
             placement = model.jointPlacements[joint]
             placement.translation = factor * placement.translation
     for frame in model.frames:
-        if frame.parentJoint > 0:
+        if frame.parentJoint > palm:
             frame.placement.translation = factor * frame.placement.translation
 
 

@@ -13,7 +13,7 @@ from tactile_hand_ros.compiled import Array, compiled
 from tactile_hand_ros.control.contact import contact_frame, hand_jacobian
 from tactile_hand_ros.control.grasp import grasp_map
 from tactile_hand_ros.hand.hand import Fingertips, RawDynamics, tip_jacobians
-from tactile_hand_ros.rotations import rodrigues
+from tactile_hand_ros.rotations import cross, rodrigues
 from tactile_hand_ros.simulation.coulomb import EXACT, ContactImpulses, solve_contacts
 from tactile_hand_ros.simulation.solid import Shape, closest_point
 
@@ -57,7 +57,8 @@ class Motion(NamedTuple):
         rows: A of `velocity_map` half a step earlier, shape (k, 3 or 4, m + 6).
         impulses: Impulses of the step on the object in contact frames, shape (k, 3 or 4), N s; see
             `coulomb`.
-        sliding: Tangential velocities of the object against the tips (x, z), shape (k, 2), m/s.
+        sliding: Tangential velocities of the object against the loaded tips (x, z), shape (k, 2),
+            m/s.
         settled: Which contacts were closed and loaded already, without an impact, shape (k,).
         slid: Distance that each contact has slid since the start, shape (k,), m.
         residual: Largest relative violation of the contact laws in the step.
@@ -184,7 +185,7 @@ def step(
     """
     k, m = len(hand.centers), len(hand.bias)
     v = now.velocities
-    position, rotation = _moved(now.position, now.rotation, 0.5 * h, v[m:])
+    position, rotation = moved(now.position, now.rotation, 0.5 * h, v[m:])
     points, frames, gaps = contact_geometry(world, position, rotation, hand.centers)
     every = velocity_map(hand, position, points, frames, world.torsion)
     turning, slid = _since(h, now, every)
@@ -201,14 +202,16 @@ def step(
         free = free + inverse_times @ solved.impulses.copy().reshape(-1)
         for i in range(c):
             j = near[i]
-            impulses[j], sliding[j] = solved.impulses[i], solved.velocities[i, :3:2]
+            impulses[j] = solved.impulses[i]
+            if impulses[j, 1] > 0.0:
+                sliding[j] = solved.velocities[i, :3:2]
             if world.compliance > 0.0:  # the rest of the motion is elastic
                 slid[j] = now.slid[j] + h * np.hypot(sliding[j, 0], sliding[j, 1])
             indentation = world.compliance * impulses[j, 1] / h
             settled[j] = impulses[j, 1] > 0.0 and abs(gaps[j] + indentation) < TOUCH
         residual, outcome = solved.residual, solved.outcome
     theta = now.theta + 0.5 * h * (v[:m] + free[:m])
-    position, rotation = _moved(position, rotation, 0.5 * h, free[m:])
+    position, rotation = moved(position, rotation, 0.5 * h, free[m:])
     # One step of Newton's iteration to the nearest rotation (Higham 1986), against rounding errors.
     rotation = 1.5 * rotation - 0.5 * (rotation @ (rotation.T @ rotation))
     contacts = every, impulses, sliding, settled, slid, residual, outcome
@@ -296,7 +299,7 @@ def carried(now: Array, then: Array, vector: Array) -> Array:
 
 
 @compiled
-def _moved(position: Array, rotation: Array, h: float, v: Array) -> tuple[Array, Array]:
+def moved(position: Array, rotation: Array, h: float, v: Array) -> tuple[Array, Array]:
     """Return position and rotation after a time h at a velocity and spin v, shape (6,)."""
     turn = rodrigues(h * v[3], h * v[4], h * v[5])
     return position + h * v[:3], turn @ rotation
@@ -310,13 +313,9 @@ def _response(
     m, c = len(now.theta), len(rows)
     turning = rotation @ world.inertia @ rotation.T
     spin = half_step(h, now)[1][m + 3 :]
-    momentum = turning @ spin
+    forces[m + 3 :] -= np.array(cross(spin, turning @ spin))  # the gyroscopic torque
     right = np.empty((m + 6, c + 1))
     right[:, :c] = rows.T
-    for i in range(3):  # the gyroscopic torque
-        j, k = (i + 1) % 3, (i + 2) % 3
-        forces[m + 3 + i] -= spin[j] * momentum[k]
-        forces[m + 3 + i] += spin[k] * momentum[j]
     right[:, c] = h * forces
     substitute(factorize(inertia)[0], right[:m])
     right[m : m + 3] /= world.mass

@@ -104,16 +104,14 @@ def solve_contacts(
         other, remains = _search(_contact_laws(delassus, kept, friction), best, np.inf)
         if remains < _TOLERANCE:
             return _answer(guess.shape, delassus, free, other, _residual(laws, other), RELAXED)
-    return _answer(guess.shape, delassus, free, _without_gain(laws, best), left, UNSOLVED)
+    return _answer(guess.shape, delassus, free, _without_gain(delassus, free, best), left, UNSOLVED)
 
 
 @compiled
 def _inside(p: Array, friction: Array) -> bool:
     d = len(p) // len(friction)
     for i in range(len(friction)):
-        x, n, z = p[d * i], p[d * i + 1], p[d * i + 2]
-        s = p[d * i + 3] if d == 4 else 0.0
-        if not n >= 0.0 or x * x + z * z + s * s > (friction[i] * n) ** 2:
+        if not p[d * i + 1] >= 0.0 or _tangential(p, i, d) > friction[i] * p[d * i + 1]:
             return False
     return True
 
@@ -185,9 +183,9 @@ def _search(laws: _Laws, best: Array, left: float) -> tuple[Array, float]:
 
 
 @compiled
-def _without_gain(laws: _Laws, p: Array) -> Array:
+def _without_gain(delassus: Array, free: Array, p: Array) -> Array:
     """Return p, shortened if its work p b + p W p / 2 on the two bodies would be positive."""
-    work, stopping = float(p @ laws.offset), float(p @ (laws.delassus @ p))
+    work, stopping = float(p @ free), float(p @ (delassus @ p))
     if not work < 0.0:
         return np.zeros(len(p))
     fraction: float = min(1.0, -2.0 * work / max(stopping, 1e-300))

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_hand_ros.compiled import Array, compiled
+from tactile_hand_ros.compiled import Array
 from tactile_hand_ros.control.contact import Contacts
 from tactile_hand_ros.errors import ConfigurationError, DivergedError, ObjectModelError
 from tactile_hand_ros.hand.hand import Hand, RawDynamics, mirrored
@@ -30,6 +30,7 @@ from tactile_hand_ros.simulation.contact_step import (
     at_rest,
     contact_geometry,
     half_step,
+    moved,
     observed,
     step,
 )
@@ -256,8 +257,9 @@ class Plant:
         if turning is not None and (turning.rate.any() or turning.acceleration.any()):
             theta, ahead = half_step(h, now)
             turns = self.hand.turning_torque(theta, ahead[:m], *turning[1:])
-            body_motion = now.position, ahead[m : m + 3], ahead[m + 3 :]
-            inertia = now.rotation @ self._world.inertia @ now.rotation.T
+            place, rotation = moved(now.position, now.rotation, 0.5 * h, now.velocities[m:])
+            body_motion = place, ahead[m : m + 3], ahead[m + 3 :]
+            inertia = rotation @ self._world.inertia @ rotation.T
             wrench = wrench + apparent_wrench(turning, (self._world.mass, inertia), body_motion)
         if self.config.disturbances:
             wrench = external_wrench(self.config.disturbances, middle) + wrench
@@ -319,10 +321,11 @@ class Plant:
         later step may leave the stop.
         """
         lower, upper = self.hand.position_limits
+        lowest, highest = np.minimum(lower, now.theta), np.maximum(upper, now.theta)
         stopped = np.zeros(self.hand.joints, dtype=np.bool_)
         while True:
             after = step(h, now, self._world, self.friction, hand, torque, wrench)
-            passed = _passed(now.theta, after.theta, lower, upper, stopped)
+            passed = ((after.theta < lowest) | (after.theta > highest)) & ~stopped
             if not passed.any():
                 return after
             stopped |= passed
@@ -381,15 +384,6 @@ class Plant:
         out = self._world.mass * np.eye(6)
         out[3:, 3:] = self._now.rotation @ self._world.inertia @ self._now.rotation.T
         return out
-
-
-@compiled
-def _passed(
-    before: Array, after: Array, lower: Array, upper: Array, stopped: NDArray[np.bool_]
-) -> NDArray[np.bool_]:
-    """Return which joints, shape (m,), have moved further beyond a limit and are not stopped."""
-    above, below = (after > upper) & (after > before), (after < lower) & (after < before)
-    return (above | below) & ~stopped
 
 
 def _at_rest(

@@ -246,23 +246,15 @@ class PlantConfig(Config):
         return round(1e9 / self.rate)
 
     @model_validator(mode="after")
-    def _turns_follow_each_other(self) -> PlantConfig:
+    def _fits_together(self) -> PlantConfig:
         times = [turn.time for turn in self.palm_motion]
         if times != sorted(set(times)):
             raise ValueError(f"palm_motion has the times {times}, expected each after the last")
-        return self
-
-    @model_validator(mode="after")
-    def _a_palm_that_turns_has_an_imu(self) -> PlantConfig:
         if any(self.palm_turn) and not self.palm_motion:
             raise ValueError(
                 f"palm_turn is {self.palm_turn}, but without palm_motion the hand has no imu and "
                 "could not measure it; start with palm_motion=[{time: 0, rotation: [0, 0, 0]}]"
             )
-        return self
-
-    @model_validator(mode="after")
-    def _a_tick_is_whole_steps(self) -> PlantConfig:
         steps = 1.0 / (self.rate * self.time_step)
         if abs(steps - round(steps)) > 1e-9 or steps < 0.5:
             raise ValueError(

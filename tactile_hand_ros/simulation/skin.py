@@ -331,7 +331,7 @@ def _measured(
     for i in range(len(radii)):
         rms = limit * (1.0 - math.exp(-gain / limit * sliding[i]))
         measured[i] += rms * noise[1, i]
-    is_displaced = c["location_noise"] > 0.0 or c["location_resolution"] > 0.0
+    is_displaced = max(c["location_noise"], c["location_resolution"], c["location_bandwidth"]) > 0.0
     if is_displaced or c["bandwidth"] > 0.0 or c["bias_drift"] > 0.0:
         # In one frame, since the reported contact frame moves.
         measured = in_palm(rows_of_quaternions(quaternions).reshape(-1, 3, 3), measured, 1.0)
@@ -419,10 +419,8 @@ class BandNoise:
         self._pass = 1.0 - math.exp(-2.0 * math.pi * min(high, nyquist) / rate)
         self._follow = 1.0 - math.exp(-2.0 * math.pi * min(low, 0.9 * nyquist) / rate)
         self._keep = math.exp(-2.0 * math.pi * bandwidth / rate) if bandwidth > 0.0 else 0.0
-        self._scale = 1.0
-        self._smooth, self._slow = np.zeros((1, 1)), np.zeros((1, 1))
-        impulse = [float(self.step(np.full((1, 1, 1), float(i == 0)))[0, 0]) for i in range(2000)]
-        self._scale = 1.0 / math.sqrt(sum(x * x for x in impulse))
+        a, b = 1.0 - self._pass, 1.0 - self._follow
+        self._scale = math.sqrt(0.5 * (1.0 + a) * (1.0 + b) * (1.0 - a * b)) / (self._pass * b)
         self._smooth, self._slow = np.zeros(shape), np.zeros(shape)
 
     def step(self, white: Array) -> Array:

@@ -1,7 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """A running hand is steered from other processes: no command is lost, refusals are answered."""
 
+import json
 import signal
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -24,13 +26,14 @@ POSES = [(0.0, 0.0436, 0.4098 + 1e-4 * i) for i in range(8)]
 
 
 @pytest.fixture
-def hand(domain: int, tmp_path: Path) -> Iterator[CapturedProcess]:
-    """Return an orchestrator with a hand that runs until a signal."""
+def hand(domain: int, tmp_path: Path) -> Iterator[tuple[CapturedProcess, float]]:
+    """Return an orchestrator with a hand that runs until a signal, and when it was started, s."""
+    began = time.monotonic()
     options = ("--interactive", "--startup-timeout", str(PATIENCE), "--out", str(tmp_path / "runs"))
     words = ("paper", *options, "--set", "targets=[]")
     with start_executable("orchestrator", *words) as process:
         process.wait_for_output("t = ", PATIENCE)
-        yield process
+        yield process, began
 
 
 def publish_once(domain: int, position: tuple[float, float, float]) -> None:
@@ -60,12 +63,16 @@ def test_every_pose_arrives_and_refusals_are_answered(hand, domain, tmp_path, ca
     assert main(["squeeze", "12", *wait]) == 0
     assert main(["squeeze", "1000", *wait]) == 2
     assert "is outside" in capsys.readouterr().err
+    orchestrator, began = hand
+    earlier = time.monotonic() - began
     for command in ("release", "grasp", "reset"):
         assert main([command, *wait]) == 0
     assert main(["move", "0.0", "0.0436", "0.4108", *wait]) == 0
-    hand.send(signal.SIGINT)
-    assert hand.wait(PATIENCE) == 0, hand.stderr
+    orchestrator.send(signal.SIGINT)
+    assert orchestrator.wait(PATIENCE) == 0, orchestrator.stderr
     run = Run(tmp_path / "runs" / "latest")
+    summary = json.loads((run.folder / "summary.json").read_text())
+    assert 0.0 < summary["start_to_first_tick_s"] < earlier  # of the run, not of the reset
     points = [m.message.pose.position for m in read_messages(run.bag, ["/accepted/desired_pose"])]
     commanded = [(0.0, 0.0436, 0.4118), (0.0, 0.0436, 0.4108)]
     # One that comes together with a reset is taken on both sides of it.

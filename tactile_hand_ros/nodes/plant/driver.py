@@ -346,7 +346,7 @@ class PlantDriver:
             self._watcher.cancel()  # until the next start
             return
         now = time.monotonic()
-        if run.reason == CONFLICT and not self._senders.in_conflict:
+        if run.refused == CONFLICT and not self._senders.in_conflict:
             run.refused = _LEFT
         if run.refused or not self._waits or self._torque is not None or self._is_answered:
             return

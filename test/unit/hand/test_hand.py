@@ -278,6 +278,9 @@ def test_a_joint_that_turns_without_end_has_a_turn_each_way(tmp_path):
     endless = joint("revolute"), joint("continuous")
     hand = changed(write_hand(tmp_path, [3, 3, 3]), endless)
     assert [limit[1] for limit in hand.position_limits] == [-2.0 * np.pi, 2.0 * np.pi]
+    limits = {"f1_joint_2": {"lower": -0.5, "upper": 1.2}}
+    hand = changed(write_hand(tmp_path, [3, 3, 3]), endless, limits=limits)
+    assert [limit[1] for limit in hand.position_limits] == [-0.5, 1.2]
 
 
 def test_a_joint_that_follows_is_no_joint_of_its_own(tmp_path):

@@ -9,6 +9,7 @@ from typing import Any
 
 import pytest
 import rclpy
+from ament_index_python.packages import get_package_share_path
 from rclpy.node import Node
 
 from tactile_hand_ros.errors import TactileHandError
@@ -91,6 +92,12 @@ def test_a_node_that_runs_collects_garbage_but_not_among_what_was_loaded():
     gc.disable()
     assert runner.run_node(lambda: Example(look), ["program"]) == 0
     assert seen == [(True, True)]
+
+
+def test_without_a_sourced_workspace_the_types_of_messages_are_found(monkeypatch):
+    monkeypatch.delenv("AMENT_PREFIX_PATH")
+    assert runner.run_node(lambda: Example(rclpy.shutdown), ["program"]) == 0
+    assert get_package_share_path("std_msgs").is_dir()
 
 
 def test_a_closed_terminal_does_not_stop_nodes_that_ignore_it(capfd):

@@ -123,6 +123,7 @@ def test_a_gap_is_closed_in_one_step_and_a_penetration_in_five(gap, speed, openi
     tip = scene.jacobian[6:] @ after.velocities[:9]
     assert normal @ (velocity + np.cross(spin, arm) - tip) == pytest.approx(opening, abs=2e-4)
     assert (after.impulses[2, 1] > 0.0) == (opening not in (-speed, 1.0))
+    assert after.sliding[2].any() == (after.impulses[2, 1] > 0.0)
 
 
 def without_contacts(scene, v):

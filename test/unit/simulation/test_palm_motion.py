@@ -5,6 +5,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from numpy.testing import assert_allclose
+from support.plants import plant
 
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
 from tactile_hand_ros.errors import ConfigurationError
@@ -82,6 +83,33 @@ def test_torques_on_fingers_at_rest_are_the_slope_of_the_centrifugal_potential()
     slope = [(energy(theta + h * e) - energy(theta - h * e)) / (2.0 * h) for e in np.eye(9)]
     assert_allclose(hand.turning_torque(theta, rest, spin, rest[:3]), -np.array(slope), atol=1e-8)
     assert_allclose(hand.turning_torque(theta, rest, rest[:3], rest[:3]), 0.0, atol=1e-15)
+
+
+def test_torques_by_an_angular_acceleration_are_those_of_links_of_other_lengths():
+    hand, gain = Hand.load("paper", link_lengths=1.3), np.array([1.0, 0.5, -0.3])
+    theta, rest, data = np.tile([1.047, 0.2, 1.0], 3), np.zeros(9), hand.model.createData()
+    pin.computeJointJacobians(hand.model, data, theta)
+    expected = np.zeros(9)
+    for joint in range(1, hand.model.njoints):
+        inertia = data.oMi[joint].act(hand.model.inertias[joint]).matrix()
+        momentum = inertia @ np.concatenate([np.zeros(3), gain])
+        expected += pin.getJointJacobian(hand.model, data, joint, pin.WORLD).T @ momentum
+    found = hand.turning_torque(theta, rest, rest[:3], gain)
+    assert_allclose(found, expected, atol=1e-12)
+
+
+def test_a_free_body_stays_where_it_is_while_the_palm_turns_to_second_order():
+    way = [{"time": 0.0, "rotation": [0.0] * 3}, {"time": 0.4, "rotation": [0.4, -1.0, 0.3]}]
+    turns = [PalmTurn(**turn) for turn in way]
+
+    def error(step):
+        world = plant(step, object__position=(0.3, 0.2, 2.0), palm_motion=way)
+        for _ in range(round(0.4 / step)):
+            state = world.advance(np.zeros(9))
+        return np.linalg.norm(palm_turning(turns, 0.4).rotation @ state.position - [0.3, 0.2, 2.0])
+
+    coarse, fine = error(2e-3), error(1e-3)
+    assert fine < 2e-4 and coarse / fine == pytest.approx(4.0, rel=0.1)
 
 
 def test_gravity_acts_in_the_orientation_of_a_palm_at_rest():

@@ -105,7 +105,7 @@ def test_a_location_settles_with_its_time_constant_and_a_new_one_shows_at_once()
     there /= np.linalg.norm(there, axis=1)[:, None]
     frames = quaternion_from_rotation([contact_frame(n) for n in there])
     turned = TactileReading(here.positions, frames, here.forces)
-    skin = sensor(rate=1000.0, location_resolution=1e-10, location_bandwidth=20.0)
+    skin = sensor(rate=1000.0, location_bandwidth=20.0)
 
     def shows(tick, true):
         return skin.step(tick * 1_000_000, true).contacts.normals
