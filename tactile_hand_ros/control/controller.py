@@ -264,6 +264,7 @@ class Controller:
         self._mode = Mode.NO_GRASP
         self._held: Held | None = None  # unknown
         self._posture = np.zeros(self.hand.joints)  # of the hold
+        self._carries = False  # a load that acted on all contacts at the last tick, which it held
         self._delay = TorqueDelay(self.config.hold.latency, self.hand.joints)
         self._sent = self._none  # at the last tick, N m
         self._last_torque: Array | None = None  # of the law, one tick ago
@@ -396,6 +397,7 @@ class Controller:
         held, now = self._holding_part(_Tick(stamp, theta, rates, *touch, applied, dt))
         problem = self._missing(contacts, now)
         if problem:
+            self._carries = self._enough(now.contacts)
             self._inputs.start_grasp()
             self._implausible_since = None
             return self._holding(theta, rates, problem, grasp_force, applied)
@@ -452,8 +454,10 @@ class Controller:
             contacts = contacts.replaced(self._touching, now.contacts)
         refused = self.targets.take_due(now.stamp, Grasp(now.theta, contacts, pose))
         assert self.targets.target is not None
-        # A load that a hold has carried, too, is to be carried from the first tick on.
-        self._law.acts = not (self.joints_held or self._mode is Mode.HOLD)
+        # The load that a hold has carried is to be carried from the first tick on; after a lost
+        # contact, what is measured first is an impact.
+        self._law.acts = not (self.joints_held or self._carries)
+        self._carries = False
         passed = 0.0 if self.joints_held else now.elapsed  # the reference waits
         wanted = self._reference.step(self.targets.target, pose, self.config.reference_time, passed)
         refused = self._stopped(now, pose) or refused

@@ -256,9 +256,9 @@ class VirtualFrame:
         """
         if len(points) == 2:
             return self._line_frame(points)
+        check_spread(points)
         if len(points) == 3:
             return self._plane_frame(points)
-        check_spread(points)
         arms = centered(points)
         if self._start is None:
             self._start = arms, self._plane_frame(_leading(points))
@@ -273,7 +273,6 @@ class VirtualFrame:
         return np.column_stack([along, -frame[:, 0], self._up])
 
     def _plane_frame(self, points: Array) -> Array:
-        check_spread(points)
         frame = _frame_of_plane(points)
         if self._side == 0.0:
             self._side = -1.0 if frame[2, 2] < 0.0 else 1.0

@@ -301,7 +301,6 @@ class GuardHold:
         """Come to rest from angles, rad, and rates, rad/s; internal force and load stay."""
         # Without the deflection that carries it, the load would move the joints at each new start.
         self._start, self._speed, self._ticks = theta + self._deflected, rates.copy(), 0
-        self.reference = self._start, self._speed
 
     def step(self, joints: tuple[Array, Array] | None, terms: Dynamics, *, follows: bool) -> Array:
         """Return the holding torque, shape (m,), N m.

@@ -23,7 +23,6 @@ from tactile_hand_ros.errors import PoseError
 from tactile_hand_ros.hand.hand import Hand
 from tactile_hand_ros.rotations import vector_from_rotation
 
-_ITERATIONS = 100
 _MAX_POSTURES = 32  # postures of a check, which runs inside a tick
 _ROUNDS, _ROUND_POSTURES = 6, 4  # of the rolling, and postures of each round
 _ROLLED = 0.02  # of the radius, accuracy of the rolling: a degree
@@ -53,7 +52,8 @@ def check_reach(
     missing = np.linalg.norm(wanted - hand.bases, axis=1) - hand.spans
     there, how = theta, " even outstretched"
     if (missing <= OFF_TIP * hand.radii).all():
-        (there, missing), how = _search(hand, wanted, theta), ""
+        close, how = OFF_TIP * hand.radii, ""
+        there, missing = inverse_kinematics(hand, wanted, theta, close, _MAX_POSTURES)
     worst = int((missing - OFF_TIP * hand.radii).argmax())
     if missing[worst] > OFF_TIP * hand.radii[worst]:
         raise PoseError(
@@ -122,28 +122,23 @@ def _rolled(
     return _rims(hand, there, normals @ body.T)
 
 
-def _search(hand: Hand, tips: Array, start: Array) -> tuple[Array, Array]:
-    """Return angles, (m,), rad, that bring tips close to points, and the distances, (k,), m."""
-    for theta, error in islice(_approach(hand, tips, start), _MAX_POSTURES):
-        missing = np.linalg.norm(error, axis=1)
-        if (missing <= OFF_TIP * hand.radii).all():
-            break
-    return theta, missing
-
-
 def _text(position: Array) -> str:
     return "(" + ", ".join(f"{x:.3f}" for x in position.round(3) + 0.0) + ")"  # no -0.000
 
 
-def inverse_kinematics(hand: Hand, tips: Array, start: Array) -> tuple[Array, Array]:
+def inverse_kinematics(
+    hand: Hand, tips: Array, start: Array, close: float | Array = 1e-6, postures: int = 101
+) -> tuple[Array, Array]:
     """Return angles that bring the tips closest to points, (k, 3), m, and the distances, (k,), m.
 
-    Levenberg's damped least squares inside the joint limits, from the angles `start`.
+    Levenberg's damped least squares inside the joint limits, from the angles `start`. It ends when
+    all tips are close, m, or after a number of postures.
     """
-    for theta, error in islice(_approach(hand, tips, start), _ITERATIONS + 1):
-        if np.abs(error).max() < 1e-6:
+    for theta, error in islice(_approach(hand, tips, start), postures):
+        missing = np.linalg.norm(error, axis=1)
+        if (missing <= close).all():
             break
-    return theta, np.linalg.norm(error, axis=1)
+    return theta, missing
 
 
 def _approach(hand: Hand, tips: Array, start: Array) -> Iterator[tuple[Array, Array]]:

@@ -30,11 +30,13 @@ _SURE = 3.0  # standard deviations at which a normal force counts as a contact
 _COURSE = 0.01  # s, time constant of the rate of a force
 _GAP = 2.5  # times the sample period; a longer gap restarts the differences
 _SILENCE = 5.0  # times the sample period after which evidence expires
-_LONGEST = 0.02  # s, the longest time that a pause counts
 _RATIO = 9.0  # power of the vibration relative to noise that the test expects
 _SETTLING = 0.05  # s after touching without a report
 _PATIENCE = 0.3  # s; a longer slip is learned as noise
 _LEARNING = 1.0  # s, time constant of the learned noise
+
+LONGEST = 0.02
+"""The longest time that a pause between ticks counts [s]."""
 
 
 class SlipDetectorConfig(Config):
@@ -192,14 +194,14 @@ def _watch(
             m["rate"][:] = 0.0
             m["agrees"] = False
             continue
-        m["touched_for"] += min(dt, _LONGEST)
+        m["touched_for"] += min(dt, LONGEST)
         normal = dot(force, normals[i])
         if fresh[i]:
             _take(m, config[0], force, normal, internal[i], freedoms)
         elif m["since"] > _SILENCE * m["period"]:
             m["evidence"] = 0.0
             m["agrees"] = False
-        _decide(m, normal, min(dt, _LONGEST))
+        _decide(m, normal, min(dt, LONGEST))
 
 
 @compiled

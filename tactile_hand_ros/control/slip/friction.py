@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from tactile_hand_ros.compiled import Array, Row, Rows, compiled, row_of
 from tactile_hand_ros.config.model import Config, param
-from tactile_hand_ros.control.slip.detector import ContactState
+from tactile_hand_ros.control.slip.detector import LONGEST, ContactState
 from tactile_hand_ros.rotations import dot
 
 _SAMPLES = 10  # of a slip that count; later ones may have stopped already
@@ -22,7 +22,6 @@ _SURE = 2.0  # standard deviations by which a force ratio must be certain
 _MAX_DEVIATION = 3.0  # standard deviations; a slip that differs more means a new surface
 _SMALLEST_MU, _LARGEST_MU = 0.1, 1.5  # limits of the estimate
 _SMOOTHING = 0.02  # s, time constant of the forces of a contact that sticks
-_LONGEST = 0.02  # s, the longest time that a pause counts
 
 
 class FrictionConfig(Config):
@@ -145,7 +144,7 @@ def _learn(
     for i in range(len(memory)):
         m = memory[i]
         slips = slips or state[i] == ContactState.SLIP
-        m["since"] += min(dt, _LONGEST)
+        m["since"] += min(dt, LONGEST)
         if was_quiet and not suspected[i]:
             m["samples"] = 0
         if state[i] == ContactState.UNKNOWN:
@@ -167,7 +166,7 @@ def _learn(
         m["quiet_for"] = 0.0 if slips else m["quiet_for"] + dt
         largest = c["spread"] ** 2
         if state[i] == ContactState.STICK:
-            step = c["explore"] * m["variance"] / largest * min(dt, _LONGEST)
+            step = c["explore"] * m["variance"] / largest * min(dt, LONGEST)
             explored = min(m["mean"] + step, math.log(c["prior"]) + c["spread"])
             m["mean"] = max(m["mean"], explored)
         m["variance"] = min(m["variance"] + largest * dt / c["forget"], largest)

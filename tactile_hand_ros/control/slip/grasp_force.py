@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from tactile_hand_ros.compiled import Array, Rows, compiled
 from tactile_hand_ros.config.model import Config, param
 from tactile_hand_ros.control.loads import ReserveConfig, Split, required_grasp_force, shift
+from tactile_hand_ros.control.slip.detector import LONGEST
 from tactile_hand_ros.rotations import dot
 
 _LOAD_TIME = 0.005  # s, time constant of the measured load: a few samples of a fast skin
@@ -165,7 +166,6 @@ def _needed(
     return needed, ready
 
 
-_LONGEST = 0.02  # s, the longest time that a pause counts
 _DOUBLING = 0.01  # s in which the grasp force doubles while something slips
 _CALM = 0.05  # s without slip, after which the next one starts from the present grasp force
 
@@ -257,6 +257,6 @@ class SlipResponse:
         self._calm_for = 0.0
         self._grown = max(self._grown, c.first_rise * self._settled)
         if slides:
-            growth = math.exp(min(dt, _LONGEST) / _DOUBLING * math.log(2.0))
+            growth = math.exp(min(dt, LONGEST) / _DOUBLING * math.log(2.0))
             self._grown = min(growth * max(self._grown, self.grasp_force), limit)
         return self._grown

@@ -188,23 +188,17 @@ class SlipRegulator:
             )
         self.goal, self._raised = grasp_force, 0.0
 
-    def step(
-        self, stamp: int, contacts: Contacts | None = None, forces: Array | None = None
-    ) -> float:
+    def step(self, stamp: int, contacts: Contacts, forces: Array) -> float:
         """Return k_f at a tick, ns, in N; the same tick again has no effect.
 
-        Without contacts by touch, and their measured forces in contact frames, shape (k, 3), N, the
-        required grasp force is unknown.
+        Contacts are those by touch, and their measured forces in contact frames, (k, 3), N.
         """
         dt = 0.0 if self._last_stamp is None else max(0.0, 1e-9 * (stamp - self._last_stamp))
         if self._last_stamp == stamp:
             return self.grasp_force
         self._last_stamp = stamp
         self._follow_user(dt)
-        if contacts is not None and forces is not None:
-            self._follow_touch(stamp, contacts, forces, dt)
-        else:
-            self.needed = self.ready = math.nan
+        self._follow_touch(stamp, contacts, forces, dt)
         c = self.config
         goal = self._asked
         if c.mode != "user":

@@ -19,6 +19,7 @@ from tactile_hand_ros.rotations import rotation_from_vector
 UNKNOWN, STICK, SLIP = ContactState.UNKNOWN, ContactState.STICK, ContactState.SLIP
 TICK = 2_000_000
 ALL = np.ones(3, dtype=bool)
+NO_TOUCH = three_faces().without(ALL), np.zeros((3, 3))
 NO_RESERVE = {"floor": 0.0, "fraction": 0.0}
 ON_A_LINE = np.array([[0.0, 2.0, 0.0], [0.0, 2.0, 0.0], [0.0, 4.0, 0.0]])  # forces, N
 
@@ -29,12 +30,12 @@ def regulator(**values):
 
 def grasp_forces(slip, ticks, *seen, start=0):
     """Return k_f at each of the ticks, at which the same contacts and forces are seen."""
-    return np.array([slip.step((start + i) * TICK, *seen) for i in range(ticks)])
+    return np.array([slip.step((start + i) * TICK, *(seen or NO_TOUCH)) for i in range(ticks)])
 
 
 def test_rises_and_falls_at_its_rates_and_lands_exactly_on_the_goal():
     slip = regulator(grasp_force=5.0, rise_rate=50.0, fall_rate=20.0)
-    slip.step(0)
+    slip.step(0, *NO_TOUCH)
     slip.request(20.0)
     up = grasp_forces(slip, 1000, start=1)
     slip.request(5.0)
@@ -49,13 +50,13 @@ def test_rises_and_falls_at_its_rates_and_lands_exactly_on_the_goal():
     landing = 20.0 - up[300:400]
     np.testing.assert_allclose(landing[1:] / landing[:-1], 1.0 - 0.002 / 0.05, rtol=1e-3)
     slip.request(15.0)
-    assert slip.step(10**12) == 15.0  # a long silence lands on the goal, not beyond
+    assert slip.step(10**12, *NO_TOUCH) == 15.0  # a long silence lands on the goal, not beyond
 
 
 @pytest.mark.parametrize("force", [0.4, 41.0, -1.0, float("nan"), float("inf")])
 def test_what_is_outside_the_limits_is_refused_and_changes_nothing(force):
     slip = regulator(grasp_force=10.0, minimum=0.5, maximum=40.0)
-    slip.step(0)
+    slip.step(0, *NO_TOUCH)
     with pytest.raises(MessageError, match=r"outside 0.5 to 40.0 N"):
         slip.request(force)
     np.testing.assert_array_equal(grasp_forces(slip, 10, start=1), 10.0)
@@ -69,7 +70,7 @@ def test_a_clock_that_starts_again_makes_no_jump():
     grasp_forces(slip, 10, start=1000)
     slip.request(20.0)
     before = slip.grasp_force
-    assert abs(slip.step(0) - before) <= 50.0 * 0.002
+    assert abs(slip.step(0, *NO_TOUCH) - before) <= 50.0 * 0.002
     assert grasp_forces(slip, 2000, start=1)[-1] == pytest.approx(20.0)
 
 
@@ -80,7 +81,7 @@ def test_a_new_limit_takes_hold_at_once_and_leaves_no_jump_for_when_it_is_lifted
     asked, limits, bound
 ):
     slip = regulator(grasp_force=10.0)
-    slip.step(0)
+    slip.step(0, *NO_TOUCH)
     slip.request(asked)
     assert grasp_forces(slip, 1500, start=1)[-1] == pytest.approx(asked)
     slip.configure(SlipRegulatorConfig(**limits))
@@ -488,7 +489,7 @@ def test_without_touch_the_required_grasp_force_is_unknown():
     slip = regulator(mode="auto")
     run(slip, 500)
     assert np.isfinite((slip.needed, slip.ready)).all()
-    slip.step(500 * TICK)
+    slip.step(500 * TICK, *NO_TOUCH)
     assert np.isnan((slip.needed, slip.ready)).all()
 
 
