@@ -232,8 +232,8 @@ class Controller:
         self.enabled = True
         self.joints_held = False
         self._palm: Array | None = None  # rotation in the world by the imu
-        # Bandwidth that a hold needs per root of k_f, rad/s, and M_h there.
-        self._required: tuple[float, Array] | None = None
+        # Bandwidth that a hold needs per root of k_f, and its bandwidth, rad/s.
+        self._required: tuple[float, float] | None = None
         self.targets = TargetQueue(self.hand, NO_POSES if config.law.name == "grip" else "")
         self.reset()
 
@@ -717,6 +717,7 @@ class Controller:
         if self._law.fits or (known and fingers <= self._fitted_fingers):
             return
         self._fitted_to, self._fitted_fingers = (self._period, self._delay.allowed), fingers
+        self._required = None
         forces = contacts.centroid - contacts.positions  # of law (10), a guess for other laws
         if c.law.uses_optimal_forces:
             forces = in_palm(contacts.rotations, now.optimal_forces, 1.0)
@@ -740,9 +741,8 @@ class Controller:
             forces = in_palm(now.contacts.rotations, now.optimal_forces, 1.0)
             inertia = self.hand.dynamics(now.theta, self._none).inertia
             needed = required_bandwidth(self._fingers, now.theta, now.contacts, forces)
-            self._required = needed, inertia
-        needed, inertia = self._required
-        required, has = math.sqrt(now.grasp_force) * needed, self._stiffest(inertia)
+            self._required = needed, self._stiffest(inertia)
+        required, has = math.sqrt(now.grasp_force) * self._required[0], self._required[1]
         if required > has:
             rate = 1.0 / self._period
             self.warning = (
