@@ -24,7 +24,7 @@ from tactile_hand_ros.sweep.space import Choice
 from tactile_hand_ros.sweep.table import Table
 
 LAST_TORQUE = GuardConfig(age_limit=1000)
-"""Equivalent to no guard: the last torque acts for a second."""
+"""Stands for no guard: the last torque acts until the next one."""
 
 _RECOVERY = 0.5  # s after a stall, and under a delay
 
@@ -56,6 +56,7 @@ class GuardedLoop:
         hand, plant = self.loop.plant.hand, self.loop.scenario.plant
         self.guard = CommandGuard(config or plant.guard, hand, plant.tick, plant.step)
         self.rate = plant.rate
+        self._is_guarded = config is not LAST_TORQUE
         self._row = Record.empty(1, hand.finger_names, hand.joint_names)
         self._waiting: deque[TorqueCommand] = deque()
         self._newest: TorqueCommand | None = None
@@ -73,6 +74,10 @@ class GuardedLoop:
     def act(self) -> None:
         """Apply the newest command to the joints for a tick, if the guard permits it."""
         loop, newest = self.loop, self._newest
+        if not self._is_guarded and newest is not None:
+            loop.drive(lambda *_: newest.torque)
+            loop.controller.joints_held = False
+            return
         stamp = loop.stamp
         loop.drive(lambda since, theta, rates: self.guard.step(stamp + since, theta, rates, newest))
         loop.controller.joints_held = self.guard.holding

@@ -8,6 +8,7 @@ of the hand. Time comes from the stamps.
 from __future__ import annotations
 
 import enum
+import math
 from collections import Counter, deque
 from typing import NamedTuple
 
@@ -108,7 +109,6 @@ class CommandGuard:
         the joints stiffer.
         """
         self._config, self._hand, self._tick, self._step = config, hand, tick, step or tick
-        self._hold = GuardHold(config.hold, hand, 1e-9 * self._step)
         self._rates = JointRates(hand.joints)
         self._fastest = np.where(config.speed_limit > 0.0, config.speed_limit, hand.velocity_limits)
         self._change = 1e-9 * self._step * config.torque_rate or np.inf
@@ -118,6 +118,7 @@ class CommandGuard:
     def reset(self) -> None:
         """Forget everything, as at the start."""
         self._past.clear()
+        self._hold = GuardHold(self._config.hold, self._hand, 1e-9 * self._step)
         self._rates.reset()
         self._last: Array | None = None  # commanded torque inside the limits
         self._newest: TorqueCommand | None = None
@@ -223,12 +224,28 @@ class CommandGuard:
             return WRONG_SHAPE
         if not np.isfinite(command.torque).all():
             return NOT_FINITE
+        if self._buckles(stamp - command.stamp, theta, rates, command.torque):
+            return LATE
         if self._is_stuck(theta, command):
             return STUCK
         if self._pulls_apart(stamp, theta, rates, command.torque):
             return PULLS
         limit = _CALM * self._fastest if self.reason == TOO_FAST else self._fastest
         return TOO_FAST if (np.abs(rates) > limit).any() else ""
+
+    def _buckles(self, age: int, theta: Array, rates: Array, torque: Array) -> bool:
+        """Return whether a law whose torque is up to `age` ns old cannot keep this grasp.
+
+        No feedback of angles and rates that is late by more than sqrt(2) / p stabilizes a motion
+        that grows with e^(p t) (Stepan, 2009). A torque that acts for a tick T until it is `age`
+        old is late by age - T/2 on average. Up to 1.5 T, the next command has only not come yet.
+        """
+        late = age - 0.5 * self._tick
+        if late <= self._tick:
+            return False
+        terms = self._hand.dynamics(theta, rates)
+        _, internal = split_forces(tip_forces(terms.tips, torque - terms.bias))
+        return 1e-9 * late * self._hold.buckling_rate(theta, internal) > math.sqrt(2.0)
 
     def _pulls_apart(self, stamp: int, theta: Array, rates: Array, torque: Array) -> bool:
         """Return whether a command reverses the internal force.

@@ -6,7 +6,14 @@ import pytest
 
 from tactile_hand_ros.control import command_guard
 from tactile_hand_ros.control.command_guard import CommandGuard, GuardConfig, TorqueCommand
-from tactile_hand_ros.control.holds import joint_torque, split_forces, spring, tip_forces
+from tactile_hand_ros.control.contact import Contacts
+from tactile_hand_ros.control.holds import (
+    joint_torque,
+    required_bandwidth,
+    split_forces,
+    spring,
+    tip_forces,
+)
 from tactile_hand_ros.hand.hand import Hand
 
 TICK = 2_000_000
@@ -309,6 +316,27 @@ def test_a_command_may_be_as_old_as_the_configuration_says_in_full_ticks(late, a
     stamp = follow(made) * TICK
     made.step(stamp, THETA, STILL, TorqueCommand(stamp - late, TORQUE + 1e-6))
     assert (made.age, made.reason) == (age, reason)
+
+
+@pytest.mark.parametrize("force", [2.0, 8.0, 20.0])
+@pytest.mark.parametrize("turned", [False, True])
+def test_a_command_may_be_as_old_as_the_grasp_bears(force, turned):
+    """On average by sqrt(2) / p, with the rate p at which light fingers buckle."""
+    human, tick = Hand.load("human"), 4_000_000
+    theta = np.tile([1.309, 0.0, 1.1697] if not turned else [1.2, 0.1, 1.3], 3)
+    tips = human.fingertips(theta)
+    inwards = tips.positions.mean(axis=0) - tips.positions
+    forces = force * inwards / np.linalg.norm(inwards, axis=1).sum()
+    contacts = Contacts(tips.positions, np.tile(np.eye(3), (3, 1, 1)))
+    p = required_bandwidth(human, theta, contacts, forces) / np.sqrt(1.5)
+    oldest = 1e9 * np.sqrt(2.0) / p + 0.5 * tick
+    assert 1.5 * tick < oldest
+    torque = joint_torque(tips, forces)
+    for fraction, reason in ((0.99, ""), (1.01, command_guard.LATE)):
+        made = CommandGuard(GuardConfig(age_limit=9), human, tick)
+        made.step(10**9, theta, STILL, TorqueCommand(10**9, torque))
+        made.step(10**9 + round(fraction * oldest), theta, STILL, TorqueCommand(10**9, torque))
+        assert made.reason == reason
 
 
 def test_what_the_contacts_press_with_follows_from_the_last_ticks():

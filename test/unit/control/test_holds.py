@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Holds are as stiff as the tick rate allows, and stiff enough for hands of any size."""
 
+import random
+
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, example, given, settings
@@ -13,6 +15,7 @@ from studies.faults.situations import SITUATIONS, scenario
 from studies.invariance import resized
 from studies.stalls import GuardedLoop, Watch
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
+from tactile_hand_ros.control import command_guard
 from tactile_hand_ros.control.holds import (
     GuardHold,
     GuardHoldConfig,
@@ -131,6 +134,22 @@ def test_the_internal_force_ends_at_its_limit_and_at_the_joints():
     assert joints * np.abs(PRESSED).max() == pytest.approx(HAND.effort_limits.max(), rel=1e-6)
 
 
+def test_the_internal_force_ends_where_the_spring_would_let_the_grasp_buckle():
+    """At a tick of 20 ms, long before the effort limits."""
+    made = hold(0.02, internal_force_limit=1e4)
+    made.engage(THETA, STILL, PRESSED)
+    before = made.step((THETA, STILL), terms(THETA, STILL), follows=True)
+    assert_allclose(before, 1.2 * PRESSED, atol=1e-9)
+    for _ in range(100):
+        torque = made.step((THETA - 0.3, STILL), terms(THETA, STILL), follows=True)
+    torque -= spring(terms(THETA, STILL).inertia, made.bandwidth, np.full(9, 0.3), STILL)
+    grown = float(torque @ PRESSED / (PRESSED @ PRESSED))
+    assert grown > 1.5
+    assert made.buckling_rate(THETA, grown * INTERNAL) == pytest.approx(
+        made.bandwidth / np.sqrt(1.5), rel=1e-6
+    )
+
+
 def test_what_an_encoder_cannot_tell_is_no_load():
     """Angles that jump between two 14-bit steps do not change the internal force."""
     step, random = 2.0 * np.pi / 2**14, np.random.default_rng(1)
@@ -243,6 +262,26 @@ def test_holds_what_is_heavy_and_what_moves_also_with_torques_three_ticks_late(s
     guarded = GuardedLoop(scenario(situation, "processes"))
     guarded.run(SITUATIONS[situation].time + 0.1)
     assert held_late(guarded, 2.0).moved < farthest
+
+
+@pytest.mark.parametrize("late", ["2", "3", "012"])
+def test_light_fingers_are_held_where_late_commands_cannot_drive_them(late):
+    """A pull of 4 N at 250 Hz: torques two ticks late would shake the object out of the hand."""
+    guarded, chance = GuardedLoop(scenario("human, pulled", "processes")), random.Random(3)
+    guarded.run(0.3)
+    watch = Watch(guarded)
+    for _ in range(500):
+        watch.run(1.0 / guarded.rate, delay=int(chance.choice(late)))
+    assert guarded.guard.holds[command_guard.LATE] and not watch.is_lost
+    assert watch.slid < 1e-4
+
+
+def test_a_hold_that_begins_with_the_grasp_does_not_press_until_it_buckles():
+    guarded = GuardedLoop(scenario("human, pulled", "processes"))
+    guarded.run(0.02)
+    watch = Watch(guarded)
+    watch.run(1.5, answers=False)
+    assert not watch.is_lost and watch.slid < 1e-4 and watch.moved < 0.01
 
 
 @pytest.mark.parametrize("tick", [0.0005, 0.002, 0.01])
