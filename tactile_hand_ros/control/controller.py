@@ -54,8 +54,7 @@ _MOVES_UNTIL = 0.8  # fraction of the limit of k_f at which a move stops, before
 _FIRST_PERIOD = 0.01  # s between ticks, assumed before the second tick
 _INTERVALS = 32  # between ticks; a quarter is shorter than the period, as stamps jitter, and many
 # are longer on a busy computer, which skips ticks
-_OPPOSES = 0.4  # of the normal forces: a finger that opposes all others has half, one of three a
-# third
+_OPPOSES = 0.4  # of the normal forces; a finger that opposes all others has half
 _NEW_PERIOD = 0.2  # relative change of the period for which gains are fitted again
 
 NO_POSES = (
@@ -264,7 +263,6 @@ class Controller:
         self._mode = Mode.NO_GRASP
         self._held: Held | None = None  # unknown
         self._posture = np.zeros(self.hand.joints)  # of the hold
-        self._carries = False  # a load that acted on all contacts at the last tick, which it held
         self._delay = TorqueDelay(self.config.hold.latency, self.hand.joints)
         self._sent = self._none  # at the last tick, N m
         self._last_torque: Array | None = None  # of the law, one tick ago
@@ -292,6 +290,7 @@ class Controller:
     def _accept_inputs(self) -> None:
         self.touch_rejected = np.zeros(self.hand.fingers, dtype=bool)
         self._implausible_since: int | None = None  # tick of the first implausible input
+        self._carries = False  # a load that acted on all contacts at the last tick, which it held
 
     def _enter(self, mode: Mode, theta: Array) -> None:
         """Change the state; a hold keeps the posture at its start, shape (m,), rad."""
@@ -794,6 +793,8 @@ class Controller:
 
     def _needs_unfelt(self, contacts: Contacts) -> bool:
         """Return whether the others cannot hold without the fingers that held and are not felt."""
+        if contacts.all_touching:
+            return False
         lost = ~contacts.touching[self._touching]
         return not self._enough(contacts) or float(self._shape[lost, 1].sum()) > _OPPOSES
 

@@ -584,6 +584,21 @@ def test_what_a_hold_carries_is_carried_from_the_first_tick_that_acts_again(guar
     np.testing.assert_allclose(after, wanted, atol=1e-6)
 
 
+def test_what_a_hold_has_carried_is_forgotten_while_the_hand_is_disabled():
+    light, heavy = np.array([[0.1, 3.0, 0.2]] * 3), np.array([[0.1, 5.0, -1.3]] * 3)
+
+    def torque(**lost):
+        bench = Bench(law__observer__time=0.05)
+        bench.step(800, forces=light)
+        bench.step(forces=light, **lost)
+        bench.controller.enabled = False
+        bench.step(forces=heavy)
+        bench.controller.enabled = True
+        return bench.step(forces=heavy).torque
+
+    np.testing.assert_allclose(torque(optimal_forces=np.full((3, 3), np.nan)), torque(), atol=1e-6)
+
+
 @pytest.mark.parametrize("held", [False, True])
 def test_an_answer_without_an_input_is_withheld_where_a_guard_holds(held):
     """A lost contact is no missing input: only the regulator's grasp force may restore it."""
