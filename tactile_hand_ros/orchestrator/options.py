@@ -62,7 +62,7 @@ class RunOptions:
     startup_timeout: Annotated[
         float,
         typer.Option(min=0.1, metavar="SECONDS", help="Startup timeout [s]."),
-    ] = 30.0
+    ] = 90.0
     priority: Annotated[
         int, typer.Option(help="Priority of the nodes under SCHED_FIFO, 1 to 99; 0 for none.")
     ] = 0

@@ -31,6 +31,7 @@ from tactile_hand_ros.orchestrator.processes import NodeDiedError, Processes
 from tactile_hand_ros.orchestrator.run_directory import RunDirectory
 from tactile_hand_ros.orchestrator.steering import Steering, SteeringError
 from tactile_hand_ros.ros.processes import wait_until
+from tactile_hand_ros.ros.qos import HEARTBEAT
 from tactile_hand_ros.ros.scheduling import PRIORITY
 from tactile_hand_ros.scenario.scenario import NODES, Scenario
 
@@ -44,7 +45,6 @@ _LOOK = 0.02  # s between polls of the nodes' messages
 _FIRST_LOOK = 0.002  # s between polls before the first message
 _GRAPH_LOOK = 0.03  # s between polls of the graph
 _REST = 1.0  # s, longest wait for the answers to the last tick
-_LAST_HEARTBEATS = 0.3  # s, three heartbeats: the recorder requests lost messages
 _SHARED = ["/diagnostics", "/clock", "/rosout", "/tf", "/tf_static"]  # not in a namespace
 
 
@@ -85,7 +85,7 @@ class Plan:
     record: bool = True
     interactive: bool = False
     composed: bool = False
-    startup_timeout: float = 30.0
+    startup_timeout: float = 90.0
     priority: int = 0
 
     @property
@@ -256,7 +256,7 @@ class Session:
         with contextlib.suppress(NodeDiedError, TimeoutError):  # no more answers will come
             wait_until(is_at_rest, _REST)
         if self.plan.record:
-            threading.Event().wait(_LAST_HEARTBEATS)
+            threading.Event().wait(3.0 * HEARTBEAT)  # the recorder requests lost messages
         self.outcome.plant = monitor.of(PLANT)
 
     def _check(self) -> None:

@@ -15,6 +15,9 @@ PUBLISHED_DEPTH = 3000
 """Messages that a publisher keeps per tick topic: 6 s at 500 Hz, for a recorder that lags.
 In lockstep all nodes wait for each other, but none waits for the recorder."""
 
+HEARTBEAT = 0.1
+"""Time after which a lost message is sent again [s], `heartbeatPeriod` in config/middleware."""
+
 
 def tick_qos() -> QoSProfile:
     """Return the profile of tick messages: 0.2 s at 500 Hz, more than any consumer may lag.

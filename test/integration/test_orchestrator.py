@@ -61,8 +61,7 @@ def start(domain: int, tmp_path: Path) -> Iterator[Callable[..., CapturedProcess
     with ExitStack() as stack:
 
         def _start(*arguments: object, env: dict[str, str] | None = None) -> CapturedProcess:
-            given = ("--startup-timeout", PATIENCE, *arguments, "--out", tmp_path / "runs")
-            words = [str(argument) for argument in given]
+            words = [str(argument) for argument in (*arguments, "--out", tmp_path / "runs")]
             return stack.enter_context(start_executable("orchestrator", *words, env=env))
 
         yield _start
@@ -137,9 +136,8 @@ def test_run_reaches_its_goal_and_is_recorded_completely(domain, tmp_path):
     )
     (home / "mine.yaml").write_text(f"law: my_law:MyLaw\n{NEAR}")
     unset = {key: text for key, text in os.environ.items() if key != "AMENT_PREFIX_PATH"}
-    patient = ("--startup-timeout", str(PATIENCE))
     done = subprocess.run(
-        [sys.executable, "-m", "tactile_hand_ros.cli", "run", home / "mine.yaml", *patient],
+        [sys.executable, "-m", "tactile_hand_ros.cli", "run", home / "mine.yaml"],
         cwd=home,
         env=unset,
         capture_output=True,

@@ -29,8 +29,7 @@ POSES = [(0.0, 0.0436, 0.4098 + 1e-4 * i) for i in range(8)]
 def hand(domain: int, tmp_path: Path) -> Iterator[tuple[CapturedProcess, float]]:
     """Return an orchestrator with a hand that runs until a signal, and when it was started, s."""
     began = time.monotonic()
-    options = ("--interactive", "--startup-timeout", str(PATIENCE), "--out", str(tmp_path / "runs"))
-    words = ("paper", *options, "--set", "targets=[]")
+    words = ("paper", "--interactive", "--out", str(tmp_path / "runs"), "--set", "targets=[]")
     with start_executable("orchestrator", *words) as process:
         process.wait_for_output("t = ", PATIENCE)
         yield process, began

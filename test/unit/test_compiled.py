@@ -77,7 +77,7 @@ def test_the_same_source_runs_without_numba(control):
 
 def test_without_a_place_for_the_cache_it_is_compiled_in_each_process(control):
     assert run(control, CALL, NUMBA_CACHE_DIR="/proc/nowhere") == ("20.0", "")
-    assert not list(control.parent.rglob("*.nbi"))  # nor beside the sources
+    assert not list(control.parent.rglob("*.nbi"))  # and none among the sources
 
 
 def test_damaged_files_are_compiled_again(control):

@@ -18,6 +18,7 @@ from tactile_hand_ros.nodes.recorder.topic import RawTopic, publishers_of
 from tactile_hand_ros.nodes.recorder.writer_process import WriterProcess
 from tactile_hand_ros.ros.diagnostics import WARN
 from tactile_hand_ros.ros.node import SUBSCRIPTIONS, TactileNode, TickPublisher
+from tactile_hand_ros.ros.qos import HEARTBEAT
 from tactile_hand_ros.ros.runner import run_node
 
 _QUEUE_DEPTH = 5000  # messages that a topic's queue holds between two polls
@@ -25,7 +26,7 @@ _VISIT_PERIOD = 0.01  # s between two polls of the subscriptions
 _DISCOVERY_PERIOD = 0.05  # s between two searches for new topics
 _SHARED_PERIOD = 0.2  # the same if a search delays the ticks of a hand in the same process
 _FLUSH_PERIOD = 0.05  # s, maximum time before a message is written to disk
-_QUIET = 0.15  # s without a message after which all have arrived, lost ones by a heartbeat of 0.1 s
+_QUIET = 1.5 * HEARTBEAT  # s without a message after which all have arrived
 _LAST_CALL = 0.5  # s, maximum wait for that if publishers continue
 _ATTENTION = 0.002  # s between two polls during that wait
 
