@@ -281,16 +281,10 @@ class ManipulationLaw:
 
     def __init__(self, config: LawConfig, radii: Array) -> None:
         """Build the law of a configuration for fingertips with radii of shape (k,), m."""
-        self._radii = np.asarray(radii)
-        self._frame = VirtualFrame()
-        self.integral = np.zeros(6)
-        self._observer = LoadObserver()
-        self._pose: AuxiliaryPose | None = None  # of the last tick
-        self._centroid = np.zeros(3)
-        self._offset: tuple[Array, Array] | None = None  # of the pose in the contacts' frame
-        self._changed = False
+        self._radii, self._centroid = np.asarray(radii), np.zeros(3)
         self.acts = True
         self._fitted: FittedGains | None = None
+        self.reset()
         self.configure(config)
 
     def configure(self, config: LawConfig) -> None:
@@ -315,10 +309,11 @@ class ManipulationLaw:
 
     def reset(self) -> None:
         """Forget the grasp and the integral."""
-        self._frame = VirtualFrame()
-        self.integral[:] = 0.0
-        self._observer = LoadObserver()
-        self._pose, self._offset, self._changed = None, None, False
+        self._frame, self._observer = VirtualFrame(), LoadObserver()
+        self.integral: Array = np.zeros(6)
+        self._pose: AuxiliaryPose | None = None  # of the last tick
+        self._offset: tuple[Array, Array] | None = None  # of the pose in the contacts' frame
+        self._changed = False
 
     def change_fingers(self) -> None:
         """Use other fingers from the next tick on; pose and load do not jump."""

@@ -40,15 +40,6 @@ def angles_between(a: Array, b: Array) -> Array:
     return np.asarray(np.arccos(np.clip((a * b).sum(axis=-1), -1.0, 1.0)))
 
 
-def cone_distances(forces: Array, learned_friction: Array) -> Array:
-    """Return the distances of forces inside friction cones, mu f_n - |f_t|, shape (..., k), N.
-
-    Forces in contact frames have the shape (..., k, 3), N, and the learned mu (..., k).
-    """
-    tangential = np.hypot(forces[..., 0], forces[..., 2])
-    return np.asarray(learned_friction * forces[..., 1] - tangential)
-
-
 @dataclass(frozen=True)
 class GraspMargins:
     """Margins from joints and contacts.

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from tactile_hand_ros.compiled import Array, compiled
 from tactile_hand_ros.control.contact import OFF_TIP, Contacts, in_palm, joint_torques, tip_gaps
 from tactile_hand_ros.hand.hand import Dynamics, Fingertips, Hand
-from tactile_hand_ros.rotations import dot, vector_from_rotation
+from tactile_hand_ros.rotations import vector_from_rotation
 
 _STANDING = 0.5  # fraction of the tolerance of touch that contacts may move while the joints rest
 _SUM = 1e-3  # largest error of sum f*_n = 1
@@ -45,21 +45,13 @@ def implausible_touch(
     the shape (k,), m.
     """
     gaps = tip_gaps(tips, contacts.positions, contacts.rotations, radii)
-    lengths = _lengths(gaps)
+    lengths = np.linalg.norm(gaps, axis=1)
     away = ~(lengths <= allowed)
     if not away.any():
         return None
     gap = 1e3 * lengths[away].max()
     reason = f"a contact is {gap:.2g} mm off its fingertip; holding until joints and touch fit"
     return Doubt(reason, away)
-
-
-@compiled
-def _lengths(vectors: Array) -> Array:
-    out = np.empty(len(vectors))
-    for i in range(len(vectors)):
-        out[i] = math.sqrt(dot(vectors[i], vectors[i]))
-    return out
 
 
 def implausible_shape(optimal_forces: Array) -> str:

@@ -15,7 +15,8 @@ from tactile_hand_ros.closed_loop.record import Record
 from tactile_hand_ros.compiled import Array
 from tactile_hand_ros.control.contact import Contacts
 from tactile_hand_ros.control.grasp import MIN_COLLINEARITY_MARGIN, net_wrench
-from tactile_hand_ros.control.margins import REACTION, GraspMonitor, cone_distances
+from tactile_hand_ros.control.margins import REACTION, GraspMonitor
+from tactile_hand_ros.control.optimizer.cones import cone_distances
 from tactile_hand_ros.control.slip.detector import ContactState
 from tactile_hand_ros.hand.hand import Hand
 from tactile_hand_ros.run.derived import spans

@@ -61,7 +61,6 @@ class PlantState(NamedTuple):
     Attributes:
         theta: Joint angles, shape (m,), rad.
         rates: Joint rates, shape (m,), rad/s.
-        torque: Torque that acted on the joints, shape (m,), N m.
         joints: Report of the joints.
         position: Object's center of mass, shape (3,), m.
         rotation: Object frame in the palm frame, shape (3, 3).
@@ -79,7 +78,6 @@ class PlantState(NamedTuple):
 
     theta: Array
     rates: Array
-    torque: Array
     joints: JointReading
     position: Array
     rotation: Array
@@ -120,13 +118,11 @@ class Plant:
         self.config = config
         self._gravity = np.array(config.gravity)
         self.hand = self.model = Hand.load(config.hand, config.layout, self._gravity)
-        self._reach = _REACH
         c = config.calibration
         if not c.is_right:
             self._gravity = rotation_from_vector(c.gravity_rotation) @ self._gravity
             true = config.hand, config.layout, self._gravity
             self.hand = Hand.load(*true, link_lengths=c.link_lengths, tip_radii=c.tip_radii)
-            self._reach = _REACH_BY_TOUCH
         self.solid = config.object.solid()
         self._load_object()
         self._initial_joints = self._expand(config.initial_joints)
@@ -195,16 +191,17 @@ class Plant:
 
     def _closed(self, now: Motion) -> Motion:
         """Return the state in which tips near the object touch it exactly."""
+        reach = _REACH if self.hand is self.model else _REACH_BY_TOUCH
         for _ in range(20):
             place = now.position, now.rotation, self.hand.tip_positions(now.theta)
             _, frames, gaps = contact_geometry(self._world, *place)
-            if gaps.min() < -self._reach:
+            if gaps.min() < -reach:
                 finger = self.hand.finger_names[int(gaps.argmin())]
                 raise ObjectModelError(
                     f"{finger} starts {-1e3 * gaps.min():.1f} mm inside the object; open the "
                     "hand (initial_joints), move the object or make it smaller"
                 )
-            missing = np.where(np.abs(gaps) <= self._reach, gaps, 0.0)
+            missing = np.where(np.abs(gaps) <= reach, gaps, 0.0)
             if np.abs(missing).max() < 1e-15:
                 break
             normals, jacobian = frames[:, :, 1], self.hand.fingertips(now.theta).linear
@@ -357,7 +354,6 @@ class Plant:
         return PlantState(
             now.theta,
             now.velocities[:m],
-            self._torque,
             self._joints,
             now.position,
             now.rotation,

@@ -56,25 +56,19 @@ class Cones:
 
         Pyramids instead of cones avoid a jump of f* at the start of the optimization.
         """
-        return _are_inside(forces, self.usable_friction, self.goal)
+        return bool((reaches(forces, self.usable_friction) + self.goal <= 0.0).all())
 
     def margin(self, forces: Array) -> float:
         """Return the minimum mu f_n - |f_t| of f*, shape (k, 3), under the load."""
-        return _least_margin(forces + self.load, self.usable_friction)
+        return float(cone_distances(forces + self.load, self.usable_friction).min())
 
 
-@compiled
-def _least_margin(forces: Array, friction: Array) -> float:
-    least = np.inf
-    for i in range(len(forces)):
-        x, n, z = forces[i]
-        least = min(least, friction[i] * n - math.sqrt(x * x + z * z))
-    return least
+def cone_distances(forces: Array, friction: Array) -> Array:
+    """Return the distances of forces inside friction cones, mu f_n - |f_t|, shape (..., k), N.
 
-
-@compiled
-def _are_inside(forces: Array, friction: Array, beyond: Array) -> bool:
-    return bool((reaches(forces, friction) + beyond <= 0.0).all())
+    Forces in contact frames have the shape (..., k, 3), N, and mu (..., k).
+    """
+    return np.asarray(friction * forces[..., 1] - np.hypot(forces[..., 0], forces[..., 2]))
 
 
 @compiled

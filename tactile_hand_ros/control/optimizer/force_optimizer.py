@@ -252,7 +252,7 @@ class ForceOptimizer:
         found = self._program.solve(self._problem)
         if not found.residual < _MAX_RESIDUAL:
             self._shape = None
-            if found.is_infeasible:
+            if "primal infeasible" in found.osqp_status:
                 return self._without_answer(Status.UNBALANCED, _UNBALANCED)
             return self._without_answer(
                 Status.FAILED,

@@ -30,10 +30,6 @@ _MAX_SYSTEMS = 100
 _GOOD_RESIDUAL = 1e-10  # a larger one means lost digits
 _TOLERANCE = 1e-6  # of OSQP before polishing
 _SOLVED = int(osqp.SolverStatus.OSQP_SOLVED)
-_INFEASIBLE = (
-    int(osqp.SolverStatus.OSQP_PRIMAL_INFEASIBLE),
-    int(osqp.SolverStatus.OSQP_PRIMAL_INFEASIBLE_INACCURATE),
-)
 
 
 class Problem(NamedTuple):
@@ -65,7 +61,6 @@ class Solution(NamedTuple):
         iterations: Number of linear systems, or iterations of OSQP.
         solve_time: Time in OSQP, s; 0 if it was not used.
         osqp_status: Status of OSQP if it did not solve the problem; empty otherwise.
-        is_infeasible: Whether OSQP found that no x meets the constraints.
     """
 
     x: Array
@@ -73,7 +68,6 @@ class Solution(NamedTuple):
     iterations: int
     solve_time: float = 0.0
     osqp_status: str = ""
-    is_infeasible: bool = False
 
 
 class QuadraticProgram:
@@ -117,7 +111,7 @@ class QuadraticProgram:
         osqp_status = "" if info.status_val == _SOLVED else str(info.status)
         if osqp_status:
             self._osqp = None  # a bad start for the next problem
-        how = int(info.iter), float(info.run_time), osqp_status, info.status_val in _INFEASIBLE
+        how = int(info.iter), float(info.run_time), osqp_status
         best = Solution(x, residual(problem, x, y), *how)
         if best.residual < _GOOD_RESIDUAL or best.residual <= exact.residual:
             return best

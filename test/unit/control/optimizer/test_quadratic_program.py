@@ -148,14 +148,14 @@ def test_a_program_finds_the_optimum_and_starts_from_its_last(seed, exact):
     for found in (first, again):
         np.testing.assert_allclose(found.x, expected, atol=1e-8)
         assert found.residual < 1e-9 and (found.solve_time > 0.0) == (not exact)
-        assert found.osqp_status == "" and not found.is_infeasible
+        assert found.osqp_status == ""
     assert again.iterations < first.iterations or first.iterations == 5
 
 
 def test_a_program_without_an_answer_says_so_and_the_next_one_is_none_the_worse():
     program = QuadraticProgram(corner(np.ones((2, 2)), np.zeros(2), np.zeros(2)), True)
     none = program.solve(corner([[1.0, 0.0], [-1.0, 0.0]], [-1.0, -1.0], [0.0, 0.0]))
-    assert none.is_infeasible and none.osqp_status and not none.residual < 1e-3
+    assert "primal infeasible" in none.osqp_status and not none.residual < 1e-3
     found = program.solve(corner([[-1.0, 0.0], [0.0, 1.0]], [-0.25, 0.0], [0.0, 0.0]))
     np.testing.assert_allclose(found.x, [1.0, 0.0], atol=1e-9)
     assert found.residual < 1e-12
