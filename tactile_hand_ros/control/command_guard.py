@@ -16,9 +16,11 @@ import numpy as np
 
 from tactile_hand_ros.compiled import Array
 from tactile_hand_ros.config.model import Config, param
+from tactile_hand_ros.control.contact import Contacts
 from tactile_hand_ros.control.holds import (
     GuardHold,
     GuardHoldConfig,
+    buckling_rate,
     split_forces,
     tip_forces,
 )
@@ -39,6 +41,8 @@ UNSTEADY = "commands have failed repeatedly; waiting until they are steady"
 _STUCK_MOTION = 0.002  # rad of motion that may leave a torque unchanged, 0.02 radii at a tip
 _STUCK_STEPS = 4.0  # errors of an angle that may do so, too
 _PULL = 0.2  # fraction of the internal force that a command may pull the fingers apart with
+_LATEST = 1.2  # p times the delay: 0.85 of the largest that any feedback bears, see `_buckles`
+_SAME_POSTURE = 0.1  # rad that change the levers of a grasp little
 _CALM_TIME = 0.5  # s without a hold, after which the next hold ends with the first good command
 _CALM = 0.8  # fraction of the speed limit below which a joint counts as slow again
 
@@ -109,8 +113,11 @@ class CommandGuard:
         the joints stiffer.
         """
         self._config, self._hand, self._tick, self._step = config, hand, tick, step or tick
+        self._hold = GuardHold(config.hold, hand, 1e-9 * self._step)
         self._rates = JointRates(hand.joints)
         self._fastest = np.where(config.speed_limit > 0.0, config.speed_limit, hand.velocity_limits)
+        # Weight of a step in the mean delay; in `patience`, a delay that lasts is most of it.
+        self._weight = -math.expm1(-1e-9 * self._step / max(config.patience, 1e-9))
         self._change = 1e-9 * self._step * config.torque_rate or np.inf
         self._past: deque[_Sample] = deque(maxlen=config.age_limit + 2)
         self.reset()
@@ -118,18 +125,18 @@ class CommandGuard:
     def reset(self) -> None:
         """Forget everything, as at the start."""
         self._past.clear()
-        self._hold = GuardHold(self._config.hold, self._hand, 1e-9 * self._step)
         self._rates.reset()
         self._last: Array | None = None  # commanded torque inside the limits
         self._newest: TorqueCommand | None = None
         self._posture = np.zeros(self._hand.joints)  # when the torque last changed
+        self._grasp: tuple[Array, float] | None = None  # posture, and its p at 1 N
         self.state = State.ACT
         self._bad: int | None = None  # last tick without a good command, ns
         self._patience = 0  # ns for which commands must be good to take over
         self.reason = ""
         self.held, self._held_at = 0, -1  # ticks; the last one
         self.holds: Counter[str] = Counter()
-        self.age = -1
+        self.age, self._delay = -1, 0.0  # mean delay of torques, ns
 
     @property
     def holding(self) -> bool:
@@ -218,13 +225,15 @@ class CommandGuard:
         self.age = int((stamp - command.stamp) / self._tick)  # in ticks that have passed
         if self.age < 0:
             return AHEAD
+        age = min(stamp - command.stamp, (self._config.age_limit + 1) * self._tick)
+        self._delay += self._weight * (age - self._delay)
         if self.age > self._config.age_limit:
             return LATE
         if command.torque.shape != rates.shape:
             return WRONG_SHAPE
         if not np.isfinite(command.torque).all():
             return NOT_FINITE
-        if self._buckles(stamp - command.stamp, theta, rates, command.torque):
+        if self._buckles(theta, rates, command.torque):
             return LATE
         if self._is_stuck(theta, command):
             return STUCK
@@ -233,19 +242,26 @@ class CommandGuard:
         limit = _CALM * self._fastest if self.reason == TOO_FAST else self._fastest
         return TOO_FAST if (np.abs(rates) > limit).any() else ""
 
-    def _buckles(self, age: int, theta: Array, rates: Array, torque: Array) -> bool:
-        """Return whether a law whose torque is up to `age` ns old cannot keep this grasp.
+    def _buckles(self, theta: Array, rates: Array, torque: Array) -> bool:
+        """Return whether torques are on average too late for a law to keep this grasp.
 
         No feedback of angles and rates that is late by more than sqrt(2) / p stabilizes a motion
-        that grows with e^(p t) (Stepan, 2009). A torque that acts for a tick T until it is `age`
-        old is late by age - T/2 on average. Up to 1.5 T, the next command has only not come yet.
+        that grows with e^(p t) (Stepan, 2009). On time, torques are late by half a tick.
         """
-        late = age - 0.5 * self._tick
-        if late <= self._tick:
+        if self._delay <= self._tick:
             return False
-        terms = self._hand.dynamics(theta, rates)
-        _, internal = split_forces(tip_forces(terms.tips, torque - terms.bias))
-        return 1e-9 * late * self._hold.buckling_rate(theta, internal) > math.sqrt(2.0)
+        tips, _, bias = self._hand.dynamics(theta, rates)
+        _, internal = split_forces(tip_forces(tips, torque - bias))
+        sizes = np.linalg.norm(internal, axis=1, keepdims=True)
+        force = float(sizes.sum())
+        if force < self._hand.minimum_force:
+            return False
+        if self._grasp is None or np.abs(theta - self._grasp[0]).max() > _SAME_POSTURE:
+            # The contacts, where the forces leave the tips: p is accurate to 12 % with them.
+            arms = self._hand.radii[:, None] * internal / np.maximum(sizes, 1e-9 * force)
+            contacts = Contacts(tips.positions + arms, np.tile(np.eye(3), (len(arms), 1, 1)))
+            self._grasp = theta, buckling_rate(self._hand, theta, contacts, internal / force)
+        return 1e-9 * self._delay * math.sqrt(force) * self._grasp[1] > _LATEST
 
     def _pulls_apart(self, stamp: int, theta: Array, rates: Array, torque: Array) -> bool:
         """Return whether a command reverses the internal force.

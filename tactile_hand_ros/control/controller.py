@@ -16,6 +16,8 @@ from tactile_hand_ros.config.model import Config, param
 from tactile_hand_ros.control.contact import Contacts, all_finite, in_palm
 from tactile_hand_ros.control.grasp import carried_along
 from tactile_hand_ros.control.holds import (
+    GraspTorque,
+    buckling_rate,
     fitted_gains,
     kept_contacts,
     motions_of_object,
@@ -148,12 +150,12 @@ class Mode(enum.Enum):
 
 
 class Held(NamedTuple):
-    """Torques of the last good tick, (m,), N m, which a hold keeps: internal force and load.
+    """Torques of the last good tick, which a hold keeps: internal force and load, (m,), N m.
 
     `grasp_force` is the k_f of that internal force, N; 0 if unknown.
     """
 
-    internal: Array
+    internal: GraspTorque
     load: Array
     grasp_force: float = 0.0
 
@@ -231,7 +233,7 @@ class Controller:
         self.enabled = True
         self.joints_held = False
         self._palm: Array | None = None  # rotation in the world by the imu
-        # Bandwidth that a hold needs per root of k_f, and its bandwidth, rad/s.
+        # Bandwidth that a hold needs per newton of k_f, and its bandwidth, rad/s.
         self._required: tuple[float, float] | None = None
         self.targets = TargetQueue(self.hand, NO_POSES if config.law.name == "grip" else "")
         self.reset()
@@ -307,7 +309,10 @@ class Controller:
                 self._posture = theta.copy()
         if mode in (Mode.OPEN, Mode.DISABLED):
             self._accept_inputs()
-            self._held = Held(self._none, self._none)
+            self._held = Held(GraspTorque(self._none[:0], self._none), self._none)
+        elif mode is Mode.HOLD and self._held is not None:
+            internal = GraspTorque.of(self.hand.fingertips(theta), self._held.internal.load)
+            self._held = self._held._replace(internal=internal)
 
     def turn_palm(self, orientation: Array) -> None:
         """Turn gravity with the palm, whose quaternion (x, y, z, w) in the world is given."""
@@ -464,7 +469,8 @@ class Controller:
         self._fit(now)
         parts = self._law_torque(*self._acting(now, tips), wanted)
         self._enter(Mode.DRIVE, now.theta)
-        self._held = Held(parts.internal, parts.load_compensation, now.grasp_force)
+        internal = GraspTorque(self._none[:0], parts.internal)  # a hold will split it
+        self._held = Held(internal, parts.load_compensation, now.grasp_force)
         if now.elapsed > 0.0:  # the tick rate has been measured
             self._judge_hold(now)
         torque = self._sent = parts.within(self.hand.effort_limits, self._weight(now.theta))
@@ -654,19 +660,21 @@ class Controller:
         self._enter(Mode.HOLD, theta)
         held = self._kept(theta, applied, grasp_force)
         rest = held.load + self._spring(theta, rates) + self._weight(theta)
-        fraction = bearable_fraction(held.internal, rest, self.hand.effort_limits)
-        return Command(fraction * held.internal + rest, Mode.HOLD, None, reason)
+        internal = held.internal.at(self.hand.fingertips(theta), 1.0)
+        fraction = bearable_fraction(internal, rest, self.hand.effort_limits)
+        return Command(fraction * internal + rest, Mode.HOLD, None, reason)
 
     def _kept(self, theta: Array, applied: Array | None, grasp_force: float) -> Held:
         """Return the torques to keep: those since the last tick, or raised for a larger k_f, N."""
+        tips = self.hand.fingertips(theta)
         if self._held is None:
             if applied is None or not applied.any() or not all_finite(applied):
-                return Held(self._none, self._none)  # still unknown
-            self._held = Held(applied - self._weight(theta), self._none)
+                return Held(GraspTorque.of(tips, self._none), self._none)  # still unknown
+            self._held = Held(GraspTorque.of(tips, applied - self._weight(theta)), self._none)
         internal, load, before = self._held
         risen = min(grasp_force, self.config.grasp_force_limit or math.inf)
         if 0.0 < before < risen and grasp_force < math.inf:
-            self._held = Held(risen / before * internal, load, risen)
+            self._held = Held(internal.scaled(risen / before), load, risen)
         return self._held
 
     def _spring(self, theta: Array, rates: Array) -> Array:
@@ -736,18 +744,19 @@ class Controller:
         """Warn once per grasp if a hold could not keep it at this tick rate."""
         if not self.config.law.uses_optimal_forces or self.warning:
             return
+        late = (0.5 + self.config.hold.latency) * self._period
         if self._required is None:
             forces = in_palm(now.contacts.rotations, now.optimal_forces, 1.0)
+            buckling = buckling_rate(self._fingers, now.theta, now.contacts, forces)
             inertia = self.hand.dynamics(now.theta, self._none).inertia
-            needed = required_bandwidth(self._fingers, now.theta, now.contacts, forces)
-            self._required = needed, self._stiffest(inertia)
-        required, has = math.sqrt(now.grasp_force) * self._required[0], self._required[1]
+            self._required = required_bandwidth(buckling, late), self._stiffest(inertia)
+        required, has = now.grasp_force * self._required[0], self._required[1]
         if required > has:
             rate = 1.0 / self._period
             self.warning = (
                 f"if inputs stop, this grasp would buckle: at {rate:.0f} Hz the hold has a "
                 f"bandwidth of {has:.0f} rad/s, but k_f = {now.grasp_force:.3g} N needs "
-                f"{required:.0f} rad/s; raise the rate to {rate * required / has:.0f} Hz"
+                f"{required:.0f} rad/s; raise the rate to {rate * math.sqrt(required / has):.0f} Hz"
             )
 
     def _implausible(self, optimal_forces: Array, grasp_force: float) -> str:

@@ -4,25 +4,28 @@
 Both keep the torque of the contacts and add a spring and a damper in proportion to the inertia,
 M_h (w^2 e + 2 w e'), with e = posture to hold - theta. See docs/explanation/safe-hold.md.
 
-A grasp under constant torques may buckle. Along motions N of joints and object that keep the
-contacts (rolling, A1), its geometric stiffness is K_geo = d(J_h^T f) - d(G f) at constant forces f.
-It is stable if w^2 N^T M_h N + K_geo > 0. See `required_bandwidth`.
+Under constant forces a grasp buckles: along motions N of joints and object that keep the contacts
+(rolling, A1), its geometric stiffness K_geo = d(J_h^T f) - d(G f) may be negative, and a deviation
+grows with e^(p t), p^2 = max(-N^T K_geo N / N^T M_h N). So the internal forces turn with the
+fingers, see `GraspTorque`. See `required_bandwidth` for how late they may do so.
 
 The delay d of the spring limits w: its loop (w^2 + 2 w s) / s^2 crosses over at 2.06 w with a phase
 margin of 1.33 rad, which the delay lowers by 2.06 w d. See `stiffest`.
 
 `GuardHold` uses joint states and a model of the hand alone. Its torque is
 
-    tau = tau_c + (s - 1) J^T f_int + C_h theta' + N_h
+    tau = tau_l + s J^T f_int + C_h theta' + N_h
           + M_h (q'' + 2 w (q' - theta') + w^2 (q - theta)),
 
-with the torque tau_c of the contacts at the start, the internal part f_int of the tip forces, a
-factor s that grows with the load on the tips, and a posture q(t) that comes to rest.
+with internal forces f_int along the lines between the tips, which turn with them, the torque tau_l
+of all other forces at the start, a factor s that grows with the load on the tips, and a posture
+q(t) that comes to rest.
 """
 
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -37,7 +40,7 @@ _PHASE = 0.5  # w d: leaves 17 degrees of phase at the longest delay, 47 at half
 _DAMPING_PHASE = 1.25  # w d of damping alone: leaves 18 degrees
 _POSE_PHASE = 0.25  # of the stiffness, by age of touch and object; fraction of damping lost to age
 _SHAKE = 0.03  # of a finger's weight, by angle errors; the grasp force has 0.6 in reserve
-_MARGIN = 1.5  # of the stiffness over the buckling limit
+_MARGIN = 1.5  # of the damping over what late forces cost
 _MAX_OFFSET, _MAX_RATE = np.pi, 1e3  # rad and rad/s; keep the torque finite
 _OBSERVES = 3.0  # w times T of the load observer; one twice as fast feeds back encoder noise
 _MASS = 1.5 / 9.81  # kg per N of load; objects reach beyond their contacts
@@ -77,10 +80,18 @@ def spring(inertia: Array, w: float, away: Array, rates: Array) -> Array:
     return np.asarray(inertia @ (w * w * away + 2.0 * w * rates))
 
 
-def required_bandwidth(
+def required_bandwidth(buckling: float, late: float) -> float:
+    """Return the smallest w, rad/s, of a hold for a grasp that buckles at p, 1/s, with a margin.
+
+    Forces that turn with the fingers d = `late` s late cost the damping p^2 d of 2 w.
+    """
+    return 0.5 * _MARGIN * buckling**2 * late
+
+
+def buckling_rate(
     hand: Hand, theta: Array, contacts: Contacts, forces: Array, motions: Array | None = None
 ) -> float:
-    """Return the smallest w, rad/s, at which a grasp does not buckle, with a margin.
+    """Return the p, 1/s, with which a grasp under constant forces buckles, e^(p t).
 
     It grows with the square root of the internal forces, (k, 3), N, palm axes. All fingers touch.
     `motions`, joint rates above twists, shape (m + 6, n), are those in which it may buckle; by
@@ -104,7 +115,7 @@ def required_bandwidth(
     joints = motions[:m]
     inertia = joints.T @ hand.dynamics(theta, np.zeros(m)).inertia @ joints
     softest = _ratios(0.5 * (stiffness + stiffness.T), inertia)[0].min(initial=np.inf)
-    return math.sqrt(_MARGIN * max(0.0, -softest))
+    return math.sqrt(max(0.0, -softest))
 
 
 def fitted_gains(
@@ -124,9 +135,9 @@ def fitted_gains(
     objects, bear more than heavy ones. Torques that are held for T make fingers oscillate at
     w = 2 / T. An object adds inertia, so w is at most 1 / T. Torques that are n ticks late cost the
     phase w (n + 1/2) T of the damping, at most 72 of its 90 degrees. Directions of forces f that
-    are d old cost the damping K_geo d, a fraction p of it at w = w_r^2 d / p, with the bandwidth
-    w_r of a hold at that k_f. This is w, unless angle errors allow more. Rates that do not move the
-    object are damped as much as angle errors allow.
+    are d old cost the damping K_geo d, a fraction of it at w = b^2 d over that fraction, with the
+    rate b of `buckling_rate` at that k_f and the margin. This is w, unless angle errors allow more.
+    Rates that do not move the object are damped as much as angle errors allow.
 
     The pose is t late, and the object, of inertia m, follows the damping after m / D. Both cost
     phase of the stiffness, so K_p = p D / (t + m / D), with the m of an object whose weight is the
@@ -155,8 +166,8 @@ def fitted_gains(
     quietest, parts = _ratios(joints.T @ quiet @ joints, joints.T @ inertia @ joints)
     momenta = inertia @ joints @ parts
     still = np.eye(hand.joints) - joints @ parts @ momenta.T
-    required = required_bandwidth(hand, theta, contacts, forces, motions)
-    needed = required**2 * touch / _POSE_PHASE
+    buckling = buckling_rate(hand, theta, contacts, forces, motions)
+    needed = _MARGIN * buckling**2 * touch / _POSE_PHASE
     wrenches = _rates_of_twists(motions).T @ momenta
     rest = still.T @ quiet @ still
     observes = _OBSERVES / quietest.min(initial=largest)
@@ -259,7 +270,52 @@ class GuardHoldConfig(Config):
 
 
 _LOAD_TIME = 0.005  # s over which the load is averaged
-_SAME_POSTURE = 0.1  # rad that change levers by less than `_MARGIN`
+
+
+class GraspTorque(NamedTuple):
+    """Joint torques that press with tensions between the fingertips, and carry a load.
+
+    The tensions follow the fingers. Forces of constant direction would turn an object further that
+    has turned, so that light fingers buckle.
+
+    Attributes:
+        tensions: Tensions between each two fingertips, N.
+        load: Torque of the other forces, shape (m,), N m.
+    """
+
+    tensions: Array
+    load: Array
+
+    @classmethod
+    def of(cls, tips: Fingertips, torque: Array) -> GraspTorque:
+        """Return a torque of the contacts, shape (m,), N m, in these parts."""
+        pulls = _pulls(tips.positions)
+        along = pulls.reshape(-1, pulls.shape[-1])
+        forces = tip_forces(tips, torque).ravel()
+        tensions = np.asarray(np.linalg.lstsq(along, forces, rcond=1e-6)[0], dtype=float)
+        return cls(tensions, torque - joint_torque(tips, pulls @ tensions))
+
+    def scaled(self, factor: float) -> GraspTorque:
+        """Return it with all parts multiplied by a factor."""
+        return GraspTorque(factor * self.tensions, factor * self.load)
+
+    def internal_forces(self, tips: Fingertips) -> Array:
+        """Return the internal forces at these fingertips, shape (k, 3), N, palm axes."""
+        return np.asarray(_pulls(tips.positions) @ self.tensions)
+
+    def at(self, tips: Fingertips, factor: float) -> Array:
+        """Return the torque at these fingertips, (m,), N m, with a factor of the tensions."""
+        return np.asarray(self.load + factor * joint_torque(tips, self.internal_forces(tips)))
+
+
+def _pulls(positions: Array) -> Array:
+    """Return the forces of unit tensions between points, shape (k, 3), m; (k, 3, k (k - 1) / 2)."""
+    i, j = np.triu_indices(len(positions), 1)
+    along = positions[j] - positions[i]
+    along /= np.maximum(np.linalg.norm(along, axis=1, keepdims=True), _INDEPENDENT)
+    forces, pair = np.zeros((len(positions), 3, len(i))), np.arange(len(i))
+    forces[i, :, pair], forces[j, :, pair] = along, -along
+    return forces
 
 
 class GuardHold:
@@ -273,52 +329,31 @@ class GuardHold:
     def __init__(self, config: GuardHoldConfig, hand: Hand, tick: float) -> None:
         """Build the hold of a hand with gravity; `tick` is the time between two steps, s."""
         self._config, self._hand, self._tick = config, hand, tick
-        self._grasp: tuple[Array, float] | None = None  # a posture, and its p at 1 N
-
-    def buckling_rate(self, theta: Array, internal: Array) -> float:
-        """Return the p, 1/s, with which a grasp under constant torques buckles, e^(p t).
-
-        It takes the centers of the tips for the contacts, which makes p 1.1 to 1.3 times as large
-        for the hands of this package. `internal` are the internal forces, (k, 3), N, palm axes.
-        """
-        force = float(np.linalg.norm(internal, axis=1).sum())
-        if force < self._hand.minimum_force:
-            return 0.0
-        if self._grasp is None or np.abs(theta - self._grasp[0]).max() > _SAME_POSTURE:
-            centers = self._hand.fingertips(theta).positions
-            contacts = Contacts(centers, np.tile(np.eye(3), (len(centers), 1, 1)))
-            needed = required_bandwidth(self._hand, theta, contacts, internal / force)
-            self._grasp = theta, needed / math.sqrt(_MARGIN)
-        return math.sqrt(force) * self._grasp[1]
 
     def engage(self, theta: Array, rates: Array, pressed: Array) -> None:
         """Start a hold at angles, rad, and rates, rad/s, with tau_c, N m, all of shape (m,)."""
-        self._pressed, self._deflected = pressed.copy(), np.zeros(len(pressed))
+        self._deflected = np.zeros(len(pressed))
         tips, inertia, _ = self._hand.dynamics(theta, rates)
         # A torque that is held for a tick is half a tick late; the other half is for the drive.
         how = self._tick, self._tick, self._config.resolution
         self.bandwidth = stiffest(self._hand, inertia, *how)
-        _, internal = split_forces(tip_forces(tips, pressed))
+        self._grasp = GraspTorque.of(tips, pressed)
+        internal = self._grasp.internal_forces(tips)
         self._internal_force = float(np.linalg.norm(internal, axis=1).sum())
-        self._internal = joint_torque(tips, internal)
-        self._largest = self._largest_factor(self.buckling_rate(theta, internal))
+        room = self._hand.effort_limits - np.abs(pressed)
+        self._largest = self._largest_factor(room, np.abs(joint_torque(tips, internal)))
         self._factor = min(1.0 + self._config.reserve, self._largest)
         self.brake(theta, rates)
 
-    def _largest_factor(self, buckling: float) -> float:
-        """Return s at the limit of the internal force, of a joint or of the spring, at least 1.
+    def _largest_factor(self, room: Array, moved: Array) -> float:
+        """Return s at the limit of the internal force or of a joint, at least 1.
 
-        `buckling` is the rate p of `buckling_rate`, 1/s. A grasp that buckles in a hold deflects
-        like one under a growing load, for which the hold would press harder.
+        The joints have room for torques of shape (m,), N m, and the internal force needs `moved`.
         """
         if self._internal_force < self._hand.minimum_force:
             return 1.0
-        room = self._hand.effort_limits - np.abs(self._pressed)
-        moved = np.abs(self._internal)
         joints = room[moved > 0.0] / moved[moved > 0.0]
         limit = self._config.internal_force_limit / self._internal_force
-        if buckling > 0.0:
-            limit = min(limit, self.bandwidth**2 / (_MARGIN * buckling**2))
         return max(1.0, min(limit, 1.0 + float(np.min(joints, initial=np.inf))))
 
     def brake(self, theta: Array, rates: Array) -> None:
@@ -339,8 +374,7 @@ class GuardHold:
         away, w = posture - theta, self.bandwidth
         if follows:
             self._follow_load(terms, away)
-        internal = self._pressed + (self._factor - 1.0) * self._internal
-        held = internal + terms.bias + terms.inertia @ acceleration
+        held = self._grasp.at(terms.tips, self._factor) + terms.bias + terms.inertia @ acceleration
         return np.asarray(held + spring(terms.inertia, w, away, speed - rates))
 
     def _follow_load(self, terms: Dynamics, away: Array) -> None:

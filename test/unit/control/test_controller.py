@@ -12,6 +12,7 @@ from support.grasps import FORCES, moved
 from tactile_hand_ros.control.contact import Contacts
 from tactile_hand_ros.control.controller import ControllerConfig, Mode
 from tactile_hand_ros.control.grasp import carried_along
+from tactile_hand_ros.control.holds import GraspTorque
 from tactile_hand_ros.control.laws import OWN_LAWS, OptimalLaw, Target
 from tactile_hand_ros.control.targets import MAX_WAITING
 from tactile_hand_ros.errors import GraspError, PoseError
@@ -182,7 +183,9 @@ def test_what_is_missing_makes_it_hold_and_what_returns_makes_it_drive(given, re
     away = bench.theta + 0.01
     pushed = bench.step(theta=away, **given(bench)).torque
     back = -bench.stiffness(away) @ np.full(9, 0.01)
-    np.testing.assert_allclose(pushed - held.torque, back, atol=1e-9)
+    tips = bench.controller.hand.fingertips  # with which the internal forces turn
+    turned = GraspTorque.of(tips(bench.theta), held.torque).at(tips(away), 1.0)
+    np.testing.assert_allclose(pushed, turned + back, atol=1e-9)
     rubbed = bench.step(rates=np.ones(9), **given(bench)).torque
     damping = 2.0 * 0.007 / 0.5 * bench.stiffness(bench.theta) @ np.ones(9)
     np.testing.assert_allclose(rubbed - held.torque, -damping, atol=1e-9)

@@ -34,7 +34,7 @@ from tactile_hand_ros.simulation.plant import Plant
 TICK, DAY = 2_000_000, 86_400_000_000_000  # ns
 PLANT = Plant(load_scenario("paper").plant)
 STATE, HAND = PLANT.state, PLANT.hand
-JOINTS = Joints(STATE.theta, STATE.rates, STATE.torque)
+JOINTS = Joints(STATE.theta, STATE.rates, STATE.joints.effort)
 FRACTIONS = np.tile([0.0, 1.0 / 3.0, 0.0], (3, 1))
 PUSH = np.array([[0.3, 2.0, -0.1], [0.1, 3.0, 0.2], [-0.2, 2.5, 0.4]])
 FRICTION = np.array([0.5, 0.6, 0.7])
@@ -267,11 +267,11 @@ def test_code_is_loaded_before_the_first_tick(here, monkeypatch):
         before = getattr(module, name)
         monkeypatch.setattr(module, name, lambda *args: used.add(name) or before(*args))
 
-    for name in ("carried_along", "required_bandwidth"):
+    for name in ("carried_along", "buckling_rate"):
         noted(controller, name)
     noted(sensing, "_best_delay")
     node = here.make(ManipulationControllerNode, **{"hold.latency": 5})
-    assert used == {"carried_along", "required_bandwidth", "_best_delay"}
+    assert used == {"carried_along", "buckling_rate", "_best_delay"}
     used.clear()
     assert tick(node, 0).mode is Mode.DRIVE and not used  # as a controller without a past
 
