@@ -18,11 +18,10 @@ from tactile_hand_ros.compiled import Array
 from tactile_hand_ros.config.model import Config, param
 from tactile_hand_ros.control.contact import Contacts
 from tactile_hand_ros.control.holds import (
+    GraspTorque,
     GuardHold,
     GuardHoldConfig,
     buckling_rate,
-    split_forces,
-    tip_forces,
 )
 from tactile_hand_ros.control.sensing import JointRates
 from tactile_hand_ros.hand.hand import Dynamics, Hand
@@ -116,7 +115,7 @@ class CommandGuard:
         self._hold = GuardHold(config.hold, hand, 1e-9 * self._step)
         self._rates = JointRates(hand.joints)
         self._fastest = np.where(config.speed_limit > 0.0, config.speed_limit, hand.velocity_limits)
-        # Weight of a step in the mean delay; in `patience`, a delay that lasts is most of it.
+        # Of a step in the mean delay, whose time constant is `patience`.
         self._weight = -math.expm1(-1e-9 * self._step / max(config.patience, 1e-9))
         self._change = 1e-9 * self._step * config.torque_rate or np.inf
         self._past: deque[_Sample] = deque(maxlen=config.age_limit + 2)
@@ -251,7 +250,7 @@ class CommandGuard:
         if self._delay <= self._tick:
             return False
         tips, _, bias = self._hand.dynamics(theta, rates)
-        _, internal = split_forces(tip_forces(tips, torque - bias))
+        internal = GraspTorque.of(tips, torque - bias).internal_forces(tips)
         sizes = np.linalg.norm(internal, axis=1, keepdims=True)
         force = float(sizes.sum())
         if force < self._hand.minimum_force:
@@ -276,10 +275,11 @@ class CommandGuard:
         if jump < self._hand.minimum_force * self._hand.spans.min():
             return False
         terms = self._hand.dynamics(theta, rates)
-        _, presses = split_forces(tip_forces(terms.tips, self._pressed(stamp, rates, terms)))
+        tips, pressed = terms.tips, self._pressed(stamp, rates, terms)
+        presses = GraspTorque.of(tips, pressed).internal_forces(tips)
         if np.linalg.norm(presses, axis=1).sum() < self._hand.minimum_force:
             return False
-        _, wanted = split_forces(tip_forces(terms.tips, torque - terms.bias))
+        wanted = GraspTorque.of(tips, torque - terms.bias).internal_forces(tips)
         return bool(np.vdot(wanted, presses) < -_PULL * np.vdot(presses, presses))
 
     def _limited(self, torque: Array) -> Array:

@@ -658,15 +658,17 @@ class Controller:
         if not self.enabled:
             return self._disabled(theta, rates)
         self._enter(Mode.HOLD, theta)
-        held = self._kept(theta, applied, grasp_force)
+        tips = self.hand.fingertips(theta)
+        held = self._kept(tips, theta, applied, grasp_force)
         rest = held.load + self._spring(theta, rates) + self._weight(theta)
-        internal = held.internal.at(self.hand.fingertips(theta), 1.0)
+        internal = held.internal.at(tips, 1.0)
         fraction = bearable_fraction(internal, rest, self.hand.effort_limits)
         return Command(fraction * internal + rest, Mode.HOLD, None, reason)
 
-    def _kept(self, theta: Array, applied: Array | None, grasp_force: float) -> Held:
+    def _kept(
+        self, tips: Fingertips, theta: Array, applied: Array | None, grasp_force: float
+    ) -> Held:
         """Return the torques to keep: those since the last tick, or raised for a larger k_f, N."""
-        tips = self.hand.fingertips(theta)
         if self._held is None:
             if applied is None or not applied.any() or not all_finite(applied):
                 return Held(GraspTorque.of(tips, self._none), self._none)  # still unknown

@@ -390,7 +390,7 @@ class GuardHold:
         c, stiffness = self._config, self.bandwidth**2 * terms.inertia
         beyond = np.maximum(np.abs(self._deflected) - c.resolution, 0.0)
         deflection = np.sign(self._deflected) * beyond
-        load, _ = split_forces(tip_forces(terms.tips, stiffness @ deflection))
+        load = tip_forces(terms.tips, stiffness @ deflection).sum(axis=0)
         factor = 1.0 + float(np.linalg.norm(load)) / (c.friction * self._internal_force)
         self._factor = min(max(self._factor, factor), self._largest)
 
@@ -421,12 +421,3 @@ def tip_forces(tips: Fingertips, torque: Array) -> Array:
 def joint_torque(tips: Fingertips, forces: Array) -> Array:
     """Return the joint torques, (m,), N m, of forces, (k, 3), N, at the tip centers."""
     return np.asarray(np.einsum("kim,ki->m", tips.linear, forces))
-
-
-def split_forces(forces: Array) -> tuple[Array, Array]:
-    """Return the load, the sum of tip forces of shape (k, 3), N, and the forces less their mean.
-
-    Torques on the object cannot be separated from the internal force without the contacts.
-    """
-    load = forces.sum(axis=0)
-    return load, forces - load / len(forces)

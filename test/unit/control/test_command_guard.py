@@ -11,9 +11,7 @@ from tactile_hand_ros.control.holds import (
     GraspTorque,
     buckling_rate,
     joint_torque,
-    split_forces,
     spring,
-    tip_forces,
 )
 from tactile_hand_ros.hand.hand import Hand
 
@@ -227,7 +225,8 @@ def test_fingers_that_hardly_press_may_be_pulled_anywhere():
     """Below a hundredth of a finger's weight, a jump can reverse the contact forces."""
     for fraction, reason in ((0.9, ""), (20.0, command_guard.PULLS)):
         weight, made = HAND.gravity_torque(THETA), guard()
-        _, presses = split_forces(tip_forces(HAND.fingertips(THETA), TORQUE - weight))
+        tips = HAND.fingertips(THETA)
+        presses = GraspTorque.of(tips, TORQUE - weight).internal_forces(tips)
         share = fraction * HAND.minimum_force / np.linalg.norm(presses, axis=1).sum()
         tick = follow(made, weight + share * (TORQUE - weight))
         step(made, tick, weight - share * 2.0 * (TORQUE - weight))
