@@ -22,6 +22,7 @@ from tactile_hand_ros.control.holds import (
     GuardHold,
     GuardHoldConfig,
     buckling_rate,
+    tip_forces,
 )
 from tactile_hand_ros.control.sensing import JointRates
 from tactile_hand_ros.hand.hand import Dynamics, Hand
@@ -129,13 +130,14 @@ class CommandGuard:
         self._newest: TorqueCommand | None = None
         self._posture = np.zeros(self._hand.joints)  # when the torque last changed
         self._grasp: tuple[Array, float] | None = None  # posture, and its p at 1 N
+        self._judged = -1, False  # stamp of a command, ns, and whether it came too late
         self.state = State.ACT
         self._bad: int | None = None  # last tick without a good command, ns
         self._patience = 0  # ns for which commands must be good to take over
         self.reason = ""
         self.held, self._held_at = 0, -1  # ticks; the last one
         self.holds: Counter[str] = Counter()
-        self.age, self._delay = -1, 0.0  # mean delay of torques, ns
+        self.age, self._delay = -1, 0.0  # ns, mean age of commands within the limit
 
     @property
     def holding(self) -> bool:
@@ -224,15 +226,14 @@ class CommandGuard:
         self.age = int((stamp - command.stamp) / self._tick)  # in ticks that have passed
         if self.age < 0:
             return AHEAD
-        age = min(stamp - command.stamp, (self._config.age_limit + 1) * self._tick)
-        self._delay += self._weight * (age - self._delay)
         if self.age > self._config.age_limit:
             return LATE
+        self._delay += self._weight * (stamp - command.stamp - self._delay)
         if command.torque.shape != rates.shape:
             return WRONG_SHAPE
         if not np.isfinite(command.torque).all():
             return NOT_FINITE
-        if self._buckles(theta, rates, command.torque):
+        if self._buckles(theta, rates, command):
             return LATE
         if self._is_stuck(theta, command):
             return STUCK
@@ -241,26 +242,34 @@ class CommandGuard:
         limit = _CALM * self._fastest if self.reason == TOO_FAST else self._fastest
         return TOO_FAST if (np.abs(rates) > limit).any() else ""
 
-    def _buckles(self, theta: Array, rates: Array, torque: Array) -> bool:
+    def _buckles(self, theta: Array, rates: Array, command: TorqueCommand) -> bool:
         """Return whether torques are on average too late for a law to keep this grasp.
 
         No feedback of angles and rates that is late by more than sqrt(2) / p stabilizes a motion
-        that grows with e^(p t) (Stepan, 2009). On time, torques are late by half a tick.
+        that grows with e^(p t) (Stepan, 2009). On time, torques are late by half a tick. Each
+        command is judged once.
         """
-        if self._delay <= self._tick:
-            return False
+        if command.stamp != self._judged[0]:
+            late = self._delay > self._tick
+            bound = 1e-9 * self._delay * self._buckling(theta, rates, command.torque) if late else 0
+            self._judged = command.stamp, bound > _LATEST
+        return self._judged[1]
+
+    def _buckling(self, theta: Array, rates: Array, torque: Array) -> float:
+        """Return the p with which the grasp of a command would buckle, 1/s."""
         tips, _, bias = self._hand.dynamics(theta, rates)
-        internal = GraspTorque.of(tips, torque - bias).internal_forces(tips)
+        internal = tip_forces(tips, torque - bias)
+        internal -= internal.mean(axis=0)
         sizes = np.linalg.norm(internal, axis=1, keepdims=True)
         force = float(sizes.sum())
         if force < self._hand.minimum_force:
-            return False
+            return 0.0
         if self._grasp is None or np.abs(theta - self._grasp[0]).max() > _SAME_POSTURE:
             # The contacts, where the forces leave the tips: p is accurate to 12 % with them.
             arms = self._hand.radii[:, None] * internal / np.maximum(sizes, 1e-9 * force)
             contacts = Contacts(tips.positions + arms, np.tile(np.eye(3), (len(arms), 1, 1)))
             self._grasp = theta, buckling_rate(self._hand, theta, contacts, internal / force)
-        return 1e-9 * self._delay * math.sqrt(force) * self._grasp[1] > _LATEST
+        return math.sqrt(force) * self._grasp[1]
 
     def _pulls_apart(self, stamp: int, theta: Array, rates: Array, torque: Array) -> bool:
         """Return whether a command reverses the internal force.

@@ -29,12 +29,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tactile_hand_ros.compiled import Array
+from tactile_hand_ros.compiled import Array, compiled
 from tactile_hand_ros.config.model import Config, param
 from tactile_hand_ros.control.contact import Contacts, hand_jacobian, joint_torques
 from tactile_hand_ros.control.grasp import centered, grasp_map
 from tactile_hand_ros.control.laws import FittedGains
 from tactile_hand_ros.hand.hand import Dynamics, Fingertips, Hand
+from tactile_hand_ros.rotations import dot
 
 _PHASE = 0.5  # w d: leaves 17 degrees of phase at the longest delay, 47 at half of it
 _DAMPING_PHASE = 1.25  # w d of damping alone: leaves 18 degrees
@@ -289,11 +290,12 @@ class GraspTorque(NamedTuple):
     @classmethod
     def of(cls, tips: Fingertips, torque: Array) -> GraspTorque:
         """Return a torque of the contacts, shape (m,), N m, in these parts."""
-        pulls = _pulls(tips.positions)
-        along = pulls.reshape(-1, pulls.shape[-1])
+        k = len(tips.positions)
+        each = [_pulls(tips.positions, unit) for unit in np.eye(k * (k - 1) // 2)]
+        along = np.reshape(each, (len(each), 3 * k)).T
         forces = tip_forces(tips, torque).ravel()
         tensions = np.asarray(np.linalg.lstsq(along, forces, rcond=1e-6)[0], dtype=float)
-        return cls(tensions, torque - joint_torque(tips, pulls @ tensions))
+        return cls(tensions, torque - joint_torque(tips, _pulls(tips.positions, tensions)))
 
     def scaled(self, factor: float) -> GraspTorque:
         """Return it with all parts multiplied by a factor."""
@@ -301,20 +303,24 @@ class GraspTorque(NamedTuple):
 
     def internal_forces(self, tips: Fingertips) -> Array:
         """Return the internal forces at these fingertips, shape (k, 3), N, palm axes."""
-        return np.asarray(_pulls(tips.positions) @ self.tensions)
+        return _pulls(tips.positions, self.tensions)
 
     def at(self, tips: Fingertips, factor: float) -> Array:
         """Return the torque at these fingertips, (m,), N m, with a factor of the tensions."""
         return np.asarray(self.load + factor * joint_torque(tips, self.internal_forces(tips)))
 
 
-def _pulls(positions: Array) -> Array:
-    """Return the forces of unit tensions between points, shape (k, 3), m; (k, 3, k (k - 1) / 2)."""
-    i, j = np.triu_indices(len(positions), 1)
-    along = positions[j] - positions[i]
-    along /= np.maximum(np.linalg.norm(along, axis=1, keepdims=True), _INDEPENDENT)
-    forces, pair = np.zeros((len(positions), 3, len(i))), np.arange(len(i))
-    forces[i, :, pair], forces[j, :, pair] = along, -along
+@compiled
+def _pulls(positions: Array, tensions: Array) -> Array:
+    """Return the forces, (k, 3), N, of tensions between each two points, (k, 3), m."""
+    forces, pair = np.zeros(positions.shape), 0
+    for i in range(len(positions)):
+        for j in range(i + 1, len(positions)):
+            along = positions[j] - positions[i]
+            pull = tensions[pair] / max(math.sqrt(dot(along, along)), _INDEPENDENT) * along
+            forces[i] += pull
+            forces[j] -= pull
+            pair += 1
     return forces
 
 

@@ -206,6 +206,7 @@ class ManipulationControllerNode(TactileNode[ControllerConfig]):
             self._controller.step(
                 stamp, theta, rates, touch, forces / hand.fingers, 1.0, forces, still
             )
+        self._controller.hold(theta, rates, "")
         GraspMonitor(hand).margins(still, touch)
         best_rotation(touch.positions, touch.positions)  # of a move whose contacts roll
         self._controller.reset()

@@ -17,7 +17,7 @@ from support.messages import pose_message
 from support.nodes import counts, facts, tapped
 
 from tactile_hand_ros import names
-from tactile_hand_ros.control import controller, sensing
+from tactile_hand_ros.control import controller, holds, sensing
 from tactile_hand_ros.control.contact import Contacts
 from tactile_hand_ros.control.controller import Mode
 from tactile_hand_ros.control.targets import MAX_WAITING
@@ -270,8 +270,9 @@ def test_code_is_loaded_before_the_first_tick(here, monkeypatch):
     for name in ("carried_along", "buckling_rate"):
         noted(controller, name)
     noted(sensing, "_best_delay")
+    noted(holds, "_pulls")
     node = here.make(ManipulationControllerNode, **{"hold.latency": 5})
-    assert used == {"carried_along", "buckling_rate", "_best_delay"}
+    assert used == {"carried_along", "buckling_rate", "_best_delay", "_pulls"}
     used.clear()
     assert tick(node, 0).mode is Mode.DRIVE and not used  # as a controller without a past
 
