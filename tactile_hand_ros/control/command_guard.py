@@ -61,7 +61,11 @@ class GuardConfig(Config):
     )
     blend_time: float = param(0.02, "duration of a takeover", unit="s", gt=0.0, le=10.0)
     patience: float = param(
-        0.05, "time of good commands that stops a series of holds", unit="s", ge=0.0, le=10.0
+        0.05,
+        "time of good commands that stops a series of holds; averages their delay",
+        unit="s",
+        ge=0.0,
+        le=10.0,
     )
     hold: GuardHoldConfig = GuardHoldConfig()
 
@@ -262,7 +266,7 @@ class CommandGuard:
         internal -= internal.mean(axis=0)
         sizes = np.linalg.norm(internal, axis=1, keepdims=True)
         force = float(sizes.sum())
-        if force < self._hand.minimum_force:
+        if not self._hand.minimum_force < force < math.inf:
             return 0.0
         if self._grasp is None or np.abs(theta - self._grasp[0]).max() > _SAME_POSTURE:
             # The contacts, where the forces leave the tips: p is accurate to 12 % with them.

@@ -43,7 +43,7 @@ def messages_of(node: Any, stamp: int) -> dict[str, bytes]:
         sent[names.wrench(finger)] = codec.encode(force, stamp)
         sent[names.optimal_force(finger)] = codec.encode((0.0, 1.0 / 3.0, 0.0), stamp)
     joints = JointCodec(hand.joint_names)
-    sent[names.JOINT_STATES] = joints.encode(stamp, state.theta, state.rates, state.torque)
+    sent[names.JOINT_STATES] = joints.encode(stamp, *state.joints)
     taken = {each.topic_name.lstrip("/") for each in node.subscriptions}
     return {topic: data for topic, data in sent.items() if topic in taken}
 

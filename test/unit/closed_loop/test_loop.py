@@ -137,7 +137,7 @@ def test_what_is_recorded_of_a_tick_is_what_the_blocks_say():
         expected = {
             "theta": state.theta,
             "rates": state.rates,
-            "torque": state.torque,
+            "torque": state.joints.effort,
             "command": command.torque,
             "object_position": state.position,
             "true_positions": state.contacts.positions,

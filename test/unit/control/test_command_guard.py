@@ -347,6 +347,13 @@ def test_commands_may_be_as_late_on_average_as_the_grasp_bears(force, finger):
         assert made.reason == reason and made.holds[command_guard.LATE] == (not swing)
 
 
+def test_torques_of_any_size_that_come_late_are_judged():
+    made = guard()
+    for tick in range(100):
+        torque = TORQUE * 1e307 * (-1.0) ** tick
+        assert np.isfinite(step(made, tick, torque, answers=tick - 2)).all()
+
+
 def test_what_the_contacts_press_with_follows_from_the_last_ticks():
     """From the maximum delay plus two ticks, so that neither drive nor damping is kept."""
     random = np.random.default_rng(3)
