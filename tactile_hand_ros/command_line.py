@@ -36,23 +36,11 @@ def run_command(program: str, command: Callable[[], Any]) -> int:
         with _ended_by_signals():
             code = command()
             sys.stdout.flush()
-    except (BrokenPipeError, SystemExit) as end:
-        # If the reader of our output is gone, Typer and Rich raise SystemExit.
-        cause = end.__context__ if isinstance(end, SystemExit) else end
-        if not isinstance(cause, BrokenPipeError):
-            raise
-        _drop_unwritten()
-        return 0
-    except (KeyboardInterrupt, _Signalled) as end:
-        number = end.args[0] if isinstance(end, _Signalled) else signal.SIGINT
-        _drop_unwritten()  # the terminal may be gone
-        say(program, "interrupted." if number == signal.SIGINT else f"ended by {number.name}.")
-        return 128 + int(number)
-    except Exception as error:
+    except BaseException as error:
         sentence, code = _explained(error)
-        if not sentence and code is None:
-            raise  # a defect
-        _drop_unwritten()
+        if code is None:
+            raise
+        _drop_unwritten()  # the terminal or the reader may be gone
         say(program, sentence)
     return code if isinstance(code, int) else 0
 
@@ -193,8 +181,15 @@ def os_sentence(error: OSError) -> str:
     return f"{where}: {reason}."
 
 
-def _explained(error: Exception) -> tuple[str, int | None]:
+def _explained(error: BaseException) -> tuple[str, int | None]:
     """Return sentence and exit code of an error; no code for a bug."""
+    if number := _signal_behind(error):
+        how = "interrupted." if number == signal.SIGINT else f"ended by {number.name}."
+        return how, 128 + number
+    # If the reader of our output is gone, Typer and Rich raise SystemExit.
+    cause = error.__context__ if isinstance(error, SystemExit) else error
+    if isinstance(cause, BrokenPipeError):
+        return "", 0
     if isinstance(error, TactileHandError):
         return str(error), EXIT_REFUSED
     if isinstance(error, OSError):
@@ -209,6 +204,17 @@ def _explained(error: Exception) -> tuple[str, int | None]:
         error.show()
         return "", int(error.exit_code)
     return "", None
+
+
+def _signal_behind(error: BaseException | None) -> signal.Signals | None:
+    """Return the signal that ended a command; what it interrupted may have failed of it."""
+    while error is not None:
+        if isinstance(error, _Signalled):
+            return signal.Signals(error.args[0])
+        if isinstance(error, KeyboardInterrupt):
+            return signal.SIGINT
+        error = error.__context__
+    return None
 
 
 def _print_any_character() -> None:

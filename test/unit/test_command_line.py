@@ -76,6 +76,17 @@ def test_a_signal_ends_a_command_in_order_while_it_runs_and_only_then(number, ca
     assert signal.getsignal(number) is signal.SIG_IGN  # the command's own setting stays
 
 
+def test_an_error_of_what_a_signal_interrupted_is_the_interruption(capsys):
+    def command() -> None:
+        try:
+            signal.raise_signal(signal.SIGINT)
+        finally:
+            threading.Thread().join()  # fails, as in a library that was starting a thread
+
+    assert run_command("program", command) == 130
+    assert capsys.readouterr() == ("", "program: interrupted.\n")
+
+
 def test_where_the_output_is_closed_it_is_dropped(monkeypatch):
     monkeypatch.setattr(sys, "stdout", None)
     assert run_command("program", lambda: print("text")) == 0
