@@ -23,13 +23,9 @@ from tactile_hand_ros.sweep.engine import LOST, REACHED, Point, Study
 from tactile_hand_ros.sweep.space import Choice
 from tactile_hand_ros.sweep.table import Table
 
-LAST_TORQUE = GuardConfig(age_limit=1000)
-"""Stands for no guard: the last torque acts until the next one."""
-
 _RECOVERY = 0.5  # s after a stall, and under a delay
 
-
-GUARDS = {"no": LAST_TORQUE, "yes": None}  # None: that of the scenario
+GUARDS = {"no": False, "yes": True}
 CASES = {
     "at rest": ("paper", 9.0),
     "moving": ("paper", 0.8),
@@ -50,13 +46,18 @@ FAULTS |= {f"{ticks} late": (0.0, ticks) for ticks in (1, 3, 4, 20)}
 class GuardedLoop:
     """A closed loop with a guard for the joints, whose commands may be late or missing."""
 
-    def __init__(self, scenario: Scenario, config: GuardConfig | None = None) -> None:
-        """Build the loop of a scenario with its guard, or with another guard configuration."""
+    def __init__(
+        self, scenario: Scenario, config: GuardConfig | None = None, *, guarded: bool = True
+    ) -> None:
+        """Build the loop of a scenario with its guard, with another guard, or with none.
+
+        Without a guard the last torque acts until the next one.
+        """
         self.loop = ClosedLoop(scenario)
         hand, plant = self.loop.plant.hand, self.loop.scenario.plant
         self.guard = CommandGuard(config or plant.guard, hand, plant.tick, plant.step)
         self.rate = plant.rate
-        self._is_guarded = config is not LAST_TORQUE
+        self._is_guarded = guarded
         self._row = Record.empty(1, hand.finger_names, hand.joint_names)
         self._waiting: deque[TorqueCommand] = deque()
         self._newest: TorqueCommand | None = None
@@ -133,7 +134,7 @@ class Watch:
 def run_one(point: Point) -> dict[str, Any]:
     """Make commands fail in a case, observe for another half second, and return the results."""
     (name, moment), (stall, late) = CASES[point.values["case"]], FAULTS[point.values["fault"]]
-    guarded = GuardedLoop(load_scenario(name), GUARDS[point.values["guard"]])
+    guarded = GuardedLoop(load_scenario(name), guarded=GUARDS[point.values["guard"]])
     guarded.run(moment)
     watch = Watch(guarded)
     if stall:

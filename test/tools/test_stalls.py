@@ -3,8 +3,7 @@
 
 import pytest
 
-from studies.stalls import LAST_TORQUE, GuardedLoop, Watch
-from tactile_hand_ros.control.command_guard import GuardConfig
+from studies.stalls import GuardedLoop, Watch
 from tactile_hand_ros.scenario.scenario import load_scenario
 
 
@@ -23,18 +22,18 @@ SCENARIOS = {
 }
 
 
-def stalled(name: str, config: GuardConfig | None, seconds: float):
+def stalled(name: str, seconds: float, *, guarded: bool = True):
     """Return the outcome of a stall that begins at 0.3 s and its loop."""
-    guarded = GuardedLoop(SCENARIOS[name], config)
-    guarded.run(0.3)
-    watch = Watch(guarded)
+    loop = GuardedLoop(SCENARIOS[name], guarded=guarded)
+    loop.run(0.3)
+    watch = Watch(loop)
     watch.run(seconds, answers=False)
-    return watch, guarded
+    return watch, loop
 
 
 @pytest.mark.parametrize("name", SCENARIOS)
 def test_a_stall_costs_no_object(name):
-    watch, guarded = stalled(name, None, 0.6)
+    watch, guarded = stalled(name, 0.6)
     assert guarded.guard.reason
     watch.run(0.3, answers=True, moves=True)
     assert not watch.is_lost and not guarded.guard.holding
@@ -44,13 +43,13 @@ def test_a_stall_costs_no_object(name):
 
 @pytest.mark.parametrize(("name", "lasts"), [("a sudden pull", 0.3), ("the weight comes on", 0.6)])
 def test_the_same_stall_without_the_guard_drops_it(name, lasts):
-    watch, _ = stalled(name, LAST_TORQUE, lasts)
+    watch, _ = stalled(name, lasts, guarded=False)
     assert watch.is_lost
 
 
 def test_a_stall_shorter_than_the_age_limit_changes_nothing():
-    _, guarded = stalled("moving", None, 0.006)
-    _, unguarded = stalled("moving", LAST_TORQUE, 0.006)
+    _, guarded = stalled("moving", 0.006)
+    _, unguarded = stalled("moving", 0.006, guarded=False)
     assert not guarded.guard.reason
     assert (guarded.loop.state.theta == unguarded.loop.state.theta).all()
 
