@@ -702,9 +702,13 @@ class Controller:
 
     def _stiffest(self, inertia: Array) -> float:
         """Return the bandwidth of the hold, rad/s."""
-        c = self.config.hold
-        late = (0.5 + c.latency) * self._period
-        return stiffest(self.hand, inertia, self._period, late, c.resolution)
+        how = self._period, self._hold_delay, self.config.hold.resolution
+        return stiffest(self.hand, inertia, *how)
+
+    @property
+    def _hold_delay(self) -> float:
+        """How late the torques of a hold act, s; half a tick, as they last for one, and more."""
+        return (0.5 + self.config.hold.latency) * self._period
 
     def _fit(self, now: _Tick) -> None:
         """Fit the gains that are not given to the hand, to the rate and delay of its torques.
@@ -746,12 +750,11 @@ class Controller:
         """Warn once per grasp if a hold could not keep it at this tick rate."""
         if not self.config.law.uses_optimal_forces or self.warning:
             return
-        late = (0.5 + self.config.hold.latency) * self._period
         if self._required is None:
             forces = in_palm(now.contacts.rotations, now.optimal_forces, 1.0)
             buckling = buckling_rate(self._fingers, now.theta, now.contacts, forces)
             inertia = self.hand.dynamics(now.theta, self._none).inertia
-            self._required = required_bandwidth(buckling, late), self._stiffest(inertia)
+            self._required = required_bandwidth(buckling, self._hold_delay), self._stiffest(inertia)
         required, has = now.grasp_force * self._required[0], self._required[1]
         if required > has:
             rate = 1.0 / self._period
