@@ -76,13 +76,14 @@ def test_a_signal_ends_a_command_in_order_while_it_runs_and_only_then(number, ca
     assert signal.getsignal(number) is signal.SIG_IGN  # the command's own setting stays
 
 
-def test_an_error_of_what_a_signal_interrupted_is_the_interruption(capsys):
+def test_an_error_of_what_a_signal_interrupted_is_the_interruption(handlers, capsys):
     def command() -> None:
         try:
             signal.raise_signal(signal.SIGINT)
         finally:
             threading.Thread().join()  # fails, as in a library that was starting a thread
 
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     assert run_command("program", command) == 130
     assert capsys.readouterr() == ("", "program: interrupted.\n")
 
