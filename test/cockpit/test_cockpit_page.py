@@ -70,16 +70,9 @@ def page(hand: tuple[Graph, str], opened: Page) -> Iterator[Page]:
     """Return the page of the hand, which drives it, after a reset."""
     opened.open(hand[1], size=(1200, 800))
     opened.wait(lambda: opened.js("return report.source.drives"))
-    opened.js("report.source.run.columns.time.values[0] = -1")  # gone once the reset is shown
     set_speed(opened, 1.0)
-    ask(opened, {"do": "reset"})
     ask(opened, {"do": "enable"})
-    first = (
-        "const {values, rows} = report.source.run.columns.time; return rows > 0 && values[0] >= 0"
-    )
-    opened.wait(lambda: opened.js(first))
-    opened.wait(lambda: row(opened, "time")[0] > 0.2)
-    opened.wait(lambda: opened.js("return report.scene.solid.known"))
+    reset(opened)
     yield opened
     assert opened.errors == []
     opened.driver.get("about:blank")  # an old tab must not keep driving
@@ -94,6 +87,18 @@ def ask(page: Page, command: dict[str, Any]) -> Any:
 
 def set_speed(page: Page, speed: float) -> None:
     ask(page, {"do": "set", "node": "plant", "name": "speed", "value": speed})
+
+
+def reset(page: Page) -> None:
+    """Go back to the start and wait until the page shows the hand there."""
+    page.js("report.source.run.columns.time.values[0] = -1")  # until the reset has come
+    ask(page, {"do": "reset"})
+    first = (
+        "const {values, rows} = report.source.run.columns.time; return rows > 0 && values[0] >= 0"
+    )
+    page.wait(lambda: page.js(first))
+    page.js("report.player.time = -1")  # until the next picture
+    page.wait(lambda: page.js("return report.player.time") > 0.2)
 
 
 def row(page: Page, column: str) -> list[float]:
@@ -144,6 +149,14 @@ def test_it_shows_the_running_hand(page: Page, hand: tuple[Graph, str]) -> None:
     foreign = [u for u in page.requests if not u.startswith((own, "data:", "blob:", "chrome"))]
     assert foreign in ([], ["about:blank"])
     assert len(urllib.request.urlopen(link).read()) < 1_500_000
+
+
+def test_a_reset_leaves_the_last_picture_until_there_is_a_new_one(page: Page) -> None:
+    page.js("""const {scene} = report, show = scene.show.bind(scene); report.heights = [];
+        scene.show = (...how) => {
+            show(...how); report.heights.push(scene.solid.group.position.z) }""")
+    reset(page)
+    assert min(page.js("return report.heights")) > 0.1  # at the origin of empty rows
 
 
 def test_a_pull_slips_and_is_caught(page: Page, hand: tuple[Graph, str]) -> None:

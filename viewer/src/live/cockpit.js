@@ -59,7 +59,7 @@ function changed(page, what) {
   refresh(page, what === "run" || page.drove !== source.drives);
   page.drove = source.drives;
   if (what === "status") refusals(page);
-  if (what === "run" && page.zoom) page.player.play();
+  if (what === "run") page.player.playing = true; // the last picture stays until there are rows
 }
 
 /** Update the panels; `anew` asks for the values in force, too, which others may have changed. */
