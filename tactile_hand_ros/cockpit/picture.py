@@ -156,9 +156,9 @@ class Picture:
             for track in self.tracks.values():
                 track.received += pause
         for topic, track in self.tracks.items():
-            track.forget(self.shown - _WINDOW)
             try:
                 if messages := batch.get(topic):
+                    track.forget(self.shown - _WINDOW)
                     track.take(messages)
             except MessageError as error:
                 yield MessageError(f"{topic}: {error}")

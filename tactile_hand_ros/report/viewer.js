@@ -1,5 +1,5 @@
 /*! tactile_hand_ros report viewer, Apache-2.0
-source sha256 633169376580b9763d11158b5a0cfde7b1341398969fefab55878615f6910dbb
+source sha256 37dbffa5208bb5d446c6818564a4b7a5a2f7241e96c232e9cdff06380e06ee1f
 contains:
 
 three 0.187.0
