@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What every test may rely on, however the suite was started."""
 
-import math
-import os
 import resource
 import signal
 import sys
@@ -30,12 +28,6 @@ def pytest_configure() -> None:
     """Let child processes be interrupted: in a shell's background jobs SIGINT is ignored."""
     if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
         signal.signal(signal.SIGINT, signal.default_int_handler)
-
-
-@pytest.hookimpl(optionalhook=True)
-def pytest_xdist_auto_num_workers() -> int:
-    """Run three workers on two cores: nodes that start and wait leave a fifth of the time."""
-    return math.ceil(1.5 * len(os.sched_getaffinity(0)))
 
 
 @pytest.fixture
