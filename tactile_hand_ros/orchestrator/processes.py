@@ -124,7 +124,8 @@ class Processes(AbstractContextManager["Processes"]):
             complaints += [
                 f"{process.name} did not stop cleanly: code {process.returncode}, see {process.log}"
                 for process in running
-                # While it loads, a process has no handler for SIGINT yet.
-                if process.returncode not in (0, -signal.SIGINT)
+                # A process that still loads has no handler for SIGINT, one that has closed none
+                # for SIGTERM.
+                if process.returncode not in (0, -signal.SIGINT, -signal.SIGTERM)
             ]
         return complaints

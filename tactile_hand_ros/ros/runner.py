@@ -157,6 +157,10 @@ def _stop(nodes: Sequence[Node], code: int) -> int:
                 node.close()
         except Exception as error:
             code = max(code, _code_of(error, EXIT_FAILED))
+    # Fast DDS can spin here for a long time while other processes leave (its issue 6513). All is
+    # closed, so SIGTERM may end that.
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    for node in reversed(nodes):
         node.destroy_node()
     rclpy.try_shutdown()
     return code

@@ -66,6 +66,13 @@ def test_stubborn_process_is_killed_and_named(tmp_path, monkeypatch):
         assert complaint.startswith(f"mule did not stop cleanly: code -{signal.SIGKILL}")
 
 
+def test_process_that_has_closed_and_hangs_may_be_terminated(tmp_path, monkeypatch):
+    monkeypatch.setattr(ros_processes, "_PATIENCE", ((signal.SIGINT, 0.1), (signal.SIGTERM, 5.0)))
+    with shells(mule=STUBBORN.replace(" TERM", "")) as processes:
+        started(processes, tmp_path, "mule")
+        assert processes.stop([["mule"]]) == []
+
+
 def test_block_that_fails_leaves_nothing(tmp_path):
     with pytest.raises(KeyError), shells(a=POLITE) as processes:
         started(processes, tmp_path, "a")

@@ -4,6 +4,7 @@
 import gc
 import os
 import signal
+import sys
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -12,6 +13,7 @@ import rclpy
 from ament_index_python.packages import get_package_share_path
 from rclpy.node import Node
 
+from bench.processes import CapturedProcess
 from tactile_hand_ros.errors import TactileHandError
 from tactile_hand_ros.nodes.force_optimizer import ForceOptimizerNode
 from tactile_hand_ros.ros import runner
@@ -125,6 +127,33 @@ def test_nodes_are_closed_in_reverse_whatever_happens(closing, code, printed, ca
     assert runner.run_nodes(both, ["program"]) == code
     captured = capfd.readouterr()
     assert captured.out == "close b\nclose a\n" and printed in captured.err
+
+
+HANGING = """
+import signal, sys, threading
+from rclpy.node import Node
+from tactile_hand_ros.ros.runner import run_node
+
+class Hanging(Node):
+    def close(self):
+        signal.raise_signal(signal.SIGTERM)  # must not interrupt this
+        print("closed", flush=True)
+
+    def destroy_node(self):
+        print("hanging", flush=True)
+        threading.Event().wait()
+
+sys.exit(run_node(lambda: Hanging("a"), ["program"]))
+"""
+
+
+def test_a_node_that_has_closed_and_cannot_be_destroyed_ends_at_sigterm():
+    with CapturedProcess([sys.executable, "-c", HANGING]) as process:
+        process.wait_for_output("ready")
+        process.send(signal.SIGINT)
+        process.wait_for_output("closed\nhanging\n")
+        process.send(signal.SIGTERM)
+        assert process.wait(10.0) == -signal.SIGTERM
 
 
 def test_a_node_that_cannot_be_made_closes_those_before_it(capfd):
