@@ -5,6 +5,7 @@
 * `tables`: all messages of a topic as arrays, for reading bags.
 * `CdrTemplate`: messages with a fixed layout, written in place, for ticks.
 * `ContentReader`: messages of any layout, one at a time.
+* `BatchReader`: the newest messages of a topic, `packed` into one block, for viewers.
 
 A general decoder builds a Python object per message. But the messages of a topic nearly always have
 the same strings and lengths, so every number is at the same offset.
@@ -15,7 +16,7 @@ Source: OMG DDS-XTypes 1.3, 7.4 (plain CDR version 1).
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -60,6 +61,43 @@ def header_stamp(data: bytes) -> int:
     if len(data) < _AFTER_STAMP or data[:2] != ENCODING:
         raise MessageError(f"{len(data)} bytes, expected a message that starts with a stamp.")
     return to_nanoseconds(*_STAMP.unpack_from(data, _ORIGIN))
+
+
+def packed(messages: Iterable[bytes]) -> bytes:
+    """Join serialized messages, each with its length before it."""
+    return b"".join([_LENGTH.pack(len(data)) + data for data in messages])
+
+
+def unpacked(data: bytes) -> list[bytes]:
+    """Return the messages that `packed` joined.
+
+    Raises:
+        MessageError: If lengths and data contradict each other.
+    """
+    at, messages = 0, list[bytes]()
+    while at + _LENGTH.size <= len(data):
+        start = at + _LENGTH.size
+        at = start + _LENGTH.unpack_from(data, at)[0]
+        messages.append(data[start:at])
+    if at != len(data):
+        raise MessageError(f"{len(data)} bytes that are not messages with their lengths.")
+    return messages
+
+
+def byte_array(data: bytes) -> bytes:
+    """Return the bytes in a serialized std_msgs/UInt8MultiArray without dimensions.
+
+    Raises:
+        MessageError: If it is something else.
+    """
+    # Of three numbers before the bytes, that of dimensions and the offset are 0.
+    start = _ORIGIN + 3 * _LENGTH.size
+    count = start - _LENGTH.size
+    if len(data) >= start and data[:2] == ENCODING and not any(data[_ORIGIN:count]):
+        end = start + _LENGTH.unpack_from(data, count)[0]
+        if end <= len(data):
+            return data[start:end]
+    raise MessageError(f"{len(data)} bytes, expected an array of bytes without dimensions.")
 
 
 def clock_bytes(stamp_ns: int) -> bytes:
@@ -308,3 +346,59 @@ def tables(type_name: str, messages: Sequence[bytes]) -> Iterator[Table]:
                 same &= (matrix[:, start:end] == matrix[0, start:end]).all(axis=1)
             yield Table(rows[same], layout, matrix[same])
             rows, matrix = rows[~same], matrix[~same]
+
+
+class BatchReader:
+    """Reads stamps and some numbers of `packed` messages of one type.
+
+    All messages of a batch nearly always have the layout of the last batch. Then they are read as
+    one array.
+    """
+
+    def __init__(self, type_name: str, groups: Mapping[str, int]) -> None:
+        """Read the first numbers of some groups of a type in `GROUPS`, as many as given."""
+        self._type, self._groups = type_name, groups
+        self._size = 0  # B, of a message and its length
+        self._fixed, self._numbers = np.empty(0, np.intp), np.empty(0, np.intp)
+        self._same = np.empty(0, np.uint8)
+
+    def __call__(self, data: bytes) -> tuple[NDArray[np.int64], Array]:
+        """Return header timestamps [ns], shape (n,), and numbers, shape (n, sum of the groups).
+
+        Raises:
+            MessageError: If a message is not of that type or lacks a number.
+        """
+        if self._size and len(data) % self._size == 0:
+            matrix = np.frombuffer(data, np.uint8).reshape(-1, self._size)
+            if bool((matrix.take(self._fixed, axis=1) == self._same).all()):
+                return self._read(matrix)
+        parts = [self._read(self._learn(message)) for message in unpacked(data)]
+        return np.concatenate([part[0] for part in parts]), np.vstack([part[1] for part in parts])
+
+    def _read(self, matrix: NDArray[np.uint8]) -> tuple[NDArray[np.int64], Array]:
+        """Return timestamps and numbers of messages with the known layout, one in each row."""
+        found = matrix.take(self._numbers, axis=1).view(_DOUBLE)
+        times = np.ascontiguousarray(found[:, :1]).view("<i4").astype(np.int64)
+        return times[:, 0] * _SECOND + times[:, 1], found[:, 1:]
+
+    def _learn(self, message: bytes) -> NDArray[np.uint8]:
+        """Make the layout of a message the known one, and return its only row."""
+        try:
+            layout = _layout(self._type, message)
+        except ValueError as error:
+            raise MessageError(f"a message is not a {self._type}: {error}") from None
+        groups = [(*layout.doubles[name], width) for name, width in self._groups.items()]
+        expected = sum(self._groups.values())
+        if (count := sum(min(count, width) for _, count, width in groups)) != expected:
+            raise MessageError(f"a message has {count} numbers, expected {expected}")
+        parts = [(at, at + width * _DOUBLE.itemsize) for at, _, width in groups]
+        self._numbers = _places((_ORIGIN, _AFTER_STAMP), *parts)
+        self._fixed = _places((-_LENGTH.size, 0), *layout.fixed)
+        row = np.frombuffer(packed([message]), np.uint8)
+        self._size, self._same = len(row), row[self._fixed]
+        return row[None]
+
+
+def _places(*ranges: tuple[int, int]) -> Rows:
+    """Return the indices of some byte ranges of a message when its length is before it."""
+    return _LENGTH.size + np.concatenate([np.arange(*ends) for ends in ranges])

@@ -23,7 +23,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import String, UInt8MultiArray
 
 from tactile_hand_ros import names
-from tactile_hand_ros.cdr import ContentReader, header_stamp
+from tactile_hand_ros.cdr import ContentReader, header_stamp, packed, unpacked
 from tactile_hand_ros.cockpit.commands import MOST_FORCE, Commands
 from tactile_hand_ros.cockpit.config import LINK, CockpitConfig
 from tactile_hand_ros.cockpit.events import Watch
@@ -38,7 +38,7 @@ from tactile_hand_ros.ros import qos
 from tactile_hand_ros.ros.endpoints import described, subscribe_directly, taken
 from tactile_hand_ros.ros.messages import PoseCodec, PushCodec
 from tactile_hand_ros.ros.node import TactileNode
-from tactile_hand_ros.ros.relay import PERIOD, unpack_batch
+from tactile_hand_ros.ros.relay import PERIOD, batch_by_topic
 from tactile_hand_ros.ros.runner import run_node
 from tactile_hand_ros.scenario.scenario import NODES
 from tactile_hand_ros.simulation.plant_run import PUSH_LASTS
@@ -86,6 +86,7 @@ class CockpitNode(TactileNode[CockpitConfig]):
         self._subscribe()
         self.commands = Commands(self)
         self._waiting = queue.SimpleQueue[tuple[Mapping[str, Any], Reply]]()
+        self._read_batch = self.guarded("ticks", self._on_batch)
         self._bell = self.create_guard_condition(self.guarded("commands", self._on_commands))
         self.create_timer(PERIOD, self._on_picture)
         self.create_timer(_STATUS_PERIOD, self._on_status)
@@ -95,8 +96,8 @@ class CockpitNode(TactileNode[CockpitConfig]):
 
     def _subscribe(self) -> None:
         user, latched = qos.user_qos(), qos.latched_qos()
-        for node in NODES:
-            self.subscribe(UInt8MultiArray, names.ticks_of(node), self._on_batch, profile=user)
+        topics = map(names.ticks_of, NODES)
+        self._batches = [subscribe_directly(self, UInt8MultiArray, each, user) for each in topics]
         for node in (names.CONTROLLER, names.REGULATOR):
             self.subscribe(DiagnosticArray, names.rejected(node), self._on_rejected_command)
         if self.config.drivers:
@@ -155,23 +156,27 @@ class CockpitNode(TactileNode[CockpitConfig]):
             except Exception as error:
                 reply(False, described(error))
 
-    def _on_batch(self, message: UInt8MultiArray) -> None:
-        batch = unpack_batch(message)
-        self._take({topic: data for topic, data in batch.items() if topic not in self._direct})
+    def _on_batch(self, data: bytes) -> None:
+        batch = batch_by_topic(data)
+        self._take({topic: each for topic, each in batch.items() if topic not in self._direct})
 
     def _on_picture(self) -> None:
-        """Make rows of what is complete."""
-        self._take({topic: [data for data, _ in taken(s)] for topic, s in self._direct.items()})
+        """Read what has come, and make rows of what is complete."""
+        for source in self._batches:
+            for data, _ in taken(source):
+                self._read_batch(data)
+        direct = self._direct.items()
+        self._take({topic: packed(data for data, _ in taken(each)) for topic, each in direct})
         if self.picture.advance():
             for stamp, kind, finger, text in self._watch.step(self.picture):
                 self.event(kind, text, finger, stamp)
 
-    def _take(self, batch: Mapping[str, Sequence[bytes]]) -> None:
-        """Read messages by topic, oldest first."""
-        states = batch.get(names.JOINT_STATES)
+    def _take(self, batch: Mapping[str, bytes]) -> None:
+        """Read `packed` messages by topic, oldest first."""
         is_new = self.picture.epoch < 0 and bool(self._description)
-        if states and (is_new or header_stamp(states[-1]) < self.picture.stamp):
-            self._begin(states[-1])
+        for newest in unpacked(batch.get(names.JOINT_STATES, b""))[-1:]:
+            if is_new or header_stamp(newest) < self.picture.stamp:
+                self._begin(newest)
         if self.picture.epoch >= 0:
             for error in self.picture.take(batch):
                 self.reject("ticks", error)

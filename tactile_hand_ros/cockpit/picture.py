@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_hand_ros import names
-from tactile_hand_ros.cdr import Layout, Table, tables
+from tactile_hand_ros.cdr import BatchReader
 from tactile_hand_ros.control.contact import known_part
 from tactile_hand_ros.control.grasp import required_friction
-from tactile_hand_ros.errors import BagError, MessageError
+from tactile_hand_ros.errors import MessageError
 from tactile_hand_ros.run.derived import rotation_between
 
 Array = NDArray[np.float64]
@@ -41,54 +41,23 @@ class Track:
 
     def __init__(self, kind: str, **groups: int) -> None:
         """Start empty, for a type and the groups of numbers to read, with their widths."""
-        self._kind, self._groups, self._width = kind, groups, sum(groups.values())
-        self._layout: Layout | None = None
-        self._size = 0
-        self._fixed, self._same = np.empty(0, np.int64), np.empty(0, np.uint8)
+        self._read, self._width = BatchReader(kind, groups), sum(groups.values())
         self.stamps, self.values = np.empty(0, np.int64), np.empty((0, self._width))
         self.received = -np.inf
 
-    def take(self, messages: Sequence[bytes]) -> None:
-        """Append a batch; what was before time was set back is forgotten.
+    def take(self, messages: bytes) -> None:
+        """Append a batch of `packed` messages; what was before time was set back is forgotten.
 
         Raises:
             MessageError: If a message is of another type or lacks a number.
         """
         stamps, values = self._read(messages)
         joined = np.concatenate([self.stamps, stamps])
-        back = np.flatnonzero(np.diff(joined) < 0)
+        back = np.flatnonzero(joined[1:] < joined[:-1])
         start = int(back[-1]) + 1 if len(back) else 0
         self.stamps = joined[start:]
-        self.values = np.vstack([self.values, values])[start:]
+        self.values = np.concatenate([self.values, values])[start:]
         self.received = time.monotonic()
-
-    def _read(self, messages: Sequence[bytes]) -> tuple[Stamps, Array]:
-        """Return stamps, ns, shape (n,), and numbers, shape (n, width), oldest first."""
-        try:
-            found = self._tables(messages)
-            rows = [
-                np.hstack([table.doubles(name)[:, :width] for name, width in self._groups.items()])
-                for table in found
-            ]
-        except (BagError, KeyError, ValueError) as error:
-            raise MessageError(f"a message is not a {self._kind}: {error}") from None
-        if wrong := [each.shape[1] for each in rows if each.shape[1] != self._width]:
-            raise MessageError(f"a message has {wrong[0]} numbers, expected {self._width}")
-        order = np.argsort(np.concatenate([table.rows for table in found]))
-        return np.concatenate([t.stamps for t in found])[order], np.vstack(rows)[order]
-
-    def _tables(self, messages: Sequence[bytes]) -> list[Table]:
-        """Return the messages as tables; one table without parsing if their layout is known."""
-        layout, joined = self._layout, b"".join(messages)
-        if layout is not None and {len(data) for data in messages} == {self._size}:
-            matrix = np.frombuffer(joined, np.uint8).reshape(-1, self._size)
-            if bool(np.all(matrix.take(self._fixed, axis=1) == self._same)):
-                return [Table(np.arange(len(matrix)), layout, matrix)]
-        found = list(tables(self._kind, messages))
-        self._layout, self._size = found[-1].layout, found[-1].matrix.shape[1]
-        self._fixed = np.concatenate([np.arange(*ends) for ends in found[-1].layout.fixed])
-        self._same = found[-1].matrix[0, self._fixed]
-        return found
 
     def forget(self, stamp: int) -> None:
         """Forget what came before a stamp, ns."""
@@ -148,8 +117,8 @@ class Picture:
         stamps = self.tracks[names.JOINT_STATES].stamps
         return int(stamps[-1]) if len(stamps) else 0
 
-    def take(self, batch: Mapping[str, Sequence[bytes]]) -> Iterator[MessageError]:
-        """Read the messages of a batch by topic, and yield an error for a bad topic."""
+    def take(self, batch: Mapping[str, bytes]) -> Iterator[MessageError]:
+        """Read the `packed` messages of a batch by topic, and yield an error for a bad topic."""
         pause = time.monotonic() - self._taken if any(batch.values()) else 0.0
         self._taken += pause
         if pause > _ALIVE:  # nothing has moved; no topic has died meanwhile

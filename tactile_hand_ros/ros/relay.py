@@ -9,22 +9,20 @@ message per picture instead. Without a subscriber it does nothing.
 from __future__ import annotations
 
 import array
-import struct
 from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any
 
 from rclpy.node import Node
-from std_msgs.msg import MultiArrayDimension, UInt8MultiArray
+from std_msgs.msg import UInt8MultiArray
 
 from tactile_hand_ros import names
-from tactile_hand_ros.errors import MessageError
+from tactile_hand_ros.cdr import byte_array, packed, unpacked
 from tactile_hand_ros.ros import qos
 
 PERIOD = 1.0 / 30.0
 """Time between two batches [s]: that between two pictures."""
 
-_LENGTH = struct.Struct("<I")
 _LARGEST = 1_000_000
 """Bytes kept between two batches; a node that computes faster than that loses messages here."""
 
@@ -32,8 +30,8 @@ _LARGEST = 1_000_000
 class TickRelay:
     """Publishes `_ticks/<node>` (std_msgs/UInt8MultiArray): serialized messages by topic.
 
-    Each dimension of the layout is a topic: `label` its name below the namespace, `size` the bytes
-    of all its messages, each with its length before it.
+    Its data are `packed` parts in pairs: the name of a topic below the namespace, and its messages,
+    which are `packed` too.
     """
 
     def __init__(self, node: Node, publishers: Sequence[Any]) -> None:
@@ -70,32 +68,24 @@ class TickRelay:
         self._waiting.clear()
 
     def _batch(self) -> UInt8MultiArray:
-        message = UInt8MultiArray(data=array.array("B", b"".join(self._waiting.values())))
+        parts: list[bytes] = []
         for topic, data in self._waiting.items():
-            label = topic.removeprefix(self._prefix)
-            message.layout.dim.append(MultiArrayDimension(label=label, size=len(data)))
+            parts += [topic.removeprefix(self._prefix).encode(), bytes(data)]
             data.clear()
-        return message
+        return UInt8MultiArray(data=array.array("B", packed(parts)))
 
 
 def _keep(waiting: bytearray, data: bytes) -> None:
     if len(waiting) < _LARGEST:
-        waiting += _LENGTH.pack(len(data)) + data
+        waiting += packed([data])
 
 
-def unpack_batch(message: UInt8MultiArray) -> dict[str, list[bytes]]:
-    """Return the messages of a batch by topic, oldest first.
+def batch_by_topic(data: bytes) -> dict[str, bytes]:
+    """Return the `packed` messages in a serialized batch by topic, oldest first.
 
     Raises:
-        MessageError: If sizes and data contradict each other.
+        MessageError: If it is not a batch.
     """
-    data, at, found = message.data.tobytes(), 0, dict[str, list[bytes]]()
-    for part in message.layout.dim:
-        end, messages = at + part.size, found.setdefault(part.label, [])
-        while at < end <= len(data) and at + _LENGTH.size <= end:
-            start = at + _LENGTH.size
-            at = start + _LENGTH.unpack_from(data, at)[0]
-            messages.append(data[start:at])
-        if at != end:
-            raise MessageError(f"{part.label}: {part.size} bytes that are not a batch of messages")
-    return found
+    parts = unpacked(byte_array(data))
+    topics = [name.decode(errors="replace") for name in parts[::2]]
+    return dict(zip(topics, parts[1::2], strict=False))

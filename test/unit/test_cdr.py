@@ -9,8 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from support.messages import contacts_message, force_message, joint_message, serialized
 
-from tactile_hand_ros.cdr import tables
-from tactile_hand_ros.errors import BagError
+from tactile_hand_ros.cdr import BatchReader, packed, tables, unpacked
+from tactile_hand_ros.errors import BagError, MessageError
 
 WRENCH = "geometry_msgs/msg/WrenchStamped"
 JOINTS = "sensor_msgs/msg/JointState"
@@ -92,3 +92,38 @@ def test_foreign_encoding(encoding):
     message = bytes.fromhex(encoding) + serialized(force_message((1.0, 2.0, 3.0), 1))[2:]
     with pytest.raises(BagError, match=f"encoding {encoding}"):
         list(tables(WRENCH, [message]))
+
+
+wrenches = st.tuples(stamps, names, st.lists(st.floats(-1e6, 1e6), min_size=3, max_size=3))
+
+
+@settings(max_examples=50)
+@given(st.lists(st.lists(wrenches, min_size=1), min_size=1))
+def test_batches_are_read_in_order_whatever_their_layouts(batches):
+    read = BatchReader(WRENCH, {"wrench": 3})
+    for batch in batches:
+        sent = [serialized(force_message(force, stamp, frame)) for stamp, frame, force in batch]
+        times, numbers = read(packed(sent))
+        assert times.tolist() == [stamp for stamp, _, _ in batch]
+        assert numbers.tolist() == [force for _, _, force in batch]
+
+
+def test_a_batch_has_the_first_numbers_of_the_groups_asked_for():
+    joints = {"position": [1.0, 2.0, 3.0], "velocity": [4.0, 5.0, 6.0], "effort": [7.0, 8.0, 9.0]}
+    message = serialized(joint_message(["a", "b", "c"], 7, **joints))
+    read = BatchReader(JOINTS, {"effort": 2, "position": 1})
+    for count in (1, 2):
+        assert read(packed([message] * count))[1].tolist() == [[7.0, 8.0, 1.0]] * count
+    for part in (b"", message[:-1], b"\0\0" + message[2:], b"\1" + message):
+        with pytest.raises(MessageError):
+            read(packed([message, part]))
+    with pytest.raises(MessageError, match="a message has 6 numbers, expected 7"):
+        BatchReader(JOINTS, {"effort": 4, "position": 3})(packed([message]))
+
+
+@pytest.mark.parametrize("damage", [slice(-1), slice(1, None), slice(3), slice(7)])
+def test_messages_that_were_packed_come_back_but_not_from_damaged_bytes(damage):
+    whole = packed([b"ab", b"", b"c"])
+    assert unpacked(whole) == [b"ab", b"", b"c"] and unpacked(b"") == []
+    with pytest.raises(MessageError, match="with their lengths"):
+        unpacked(whole[damage])

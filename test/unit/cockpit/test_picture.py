@@ -9,6 +9,7 @@ from support.messages import joint_message, serialized
 from support.recorded import random_record, write_tick
 
 from tactile_hand_ros import names
+from tactile_hand_ros.cdr import packed
 from tactile_hand_ros.closed_loop.record import Record
 from tactile_hand_ros.cockpit.events import Watch
 from tactile_hand_ros.cockpit.picture import ROWS_PER_BATCH, Picture
@@ -43,7 +44,8 @@ def batch(*ticks: int, **arrays: Any) -> Batch:
 
 def take(picture: Picture, messages: dict[str, list[bytes]]) -> list[str]:
     """Read a batch, make rows, and return the errors."""
-    errors = [str(error) for error in picture.take(messages)]
+    batch = {topic: packed(each) for topic, each in messages.items()}
+    errors = [str(error) for error in picture.take(batch)]
     picture.advance()
     return errors
 
