@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import contextlib
+import itertools
 import os
 import random
 import signal
@@ -28,6 +29,8 @@ _PORT_BASE = 32768
 _ABORT_SECONDS = 5.0
 _DOMAINS = range(60, 102)
 """Lower domains are left to users; higher ones collide with ephemeral ports."""
+_TURNS = itertools.cycle(random.sample(_DOMAINS, len(_DOMAINS)))
+"""In turns, because a killed node is still discovered in its domain for 20 s."""
 
 
 @contextlib.contextmanager
@@ -46,7 +49,7 @@ def isolated_domain() -> Iterator[int]:
 
 @contextlib.contextmanager
 def _reserve() -> Iterator[int]:
-    for domain in random.sample(_DOMAINS, len(_DOMAINS)):
+    for domain in itertools.islice(_TURNS, len(_DOMAINS)):
         with socket.socket(socket.AF_INET, socket.SOCK_STREAM) as guard:
             try:
                 guard.bind(("localhost", _PORT_BASE + domain))
@@ -141,6 +144,6 @@ def parameter_files(scenario: Scenario, folder: Path, nodes: Iterable[str] = NOD
     arguments = []
     for name in nodes:
         file = folder / f"{name}.yaml"
-        file.write_text(to_params_yaml(scenario.node_config(name), name))
+        file.write_text(to_params_yaml(getattr(scenario, name), name))
         arguments += ["--params-file", str(file)]
     return arguments

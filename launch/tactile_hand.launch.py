@@ -46,7 +46,7 @@ def nodes(context: LaunchContext) -> list[Node]:
     folder = Path(tempfile.mkdtemp(prefix="tactile_hand_"))
     started = [each for each in NODES if simulation == "true" or each not in SIMULATION]
     for each in started:
-        (folder / each).write_text(to_params_yaml(scenario.node_config(each), each), "utf-8")
+        (folder / each).write_text(to_params_yaml(getattr(scenario, each), each), "utf-8")
     return [
         Node(
             package="tactile_hand_ros",

@@ -22,7 +22,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_hand_ros.errors import BagError, MessageError
+from tactile_hand_ros.errors import MessageError
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.intp]
@@ -260,12 +260,15 @@ def _layout(type_name: str, data: bytes) -> Layout:
     """Return the layout of a message.
 
     Raises:
-        ValueError: If the bytes are not a message of that type.
+        MessageError: If the bytes are not a message of that type.
     """
-    if len(data) < _ORIGIN or data[:2] != ENCODING:
-        raise ValueError(f"encoding {data[:2].hex() or 'missing'}, expected 0001")
     cursor = _Cursor(data)
-    cursor.message(type_name)
+    try:
+        if len(data) < _ORIGIN or data[:2] != ENCODING:
+            raise ValueError(f"encoding {data[:2].hex() or 'missing'}, expected 0001")
+        cursor.message(type_name)
+    except ValueError as error:
+        raise MessageError(f"{len(data)} bytes that are not a {type_name}: {error}.") from None
     return cursor.layout
 
 
@@ -316,10 +319,7 @@ class ContentReader:
     def _find_layout(self, data: bytes) -> None:
         if len(data) > LARGEST_MESSAGE:
             raise MessageError(f"{len(data)} bytes, expected at most {LARGEST_MESSAGE}.")
-        try:
-            layout = _layout(self._type, data)
-        except ValueError as error:
-            raise MessageError(f"{len(data)} bytes that are not a {self._type}: {error}.") from None
+        layout = _layout(self._type, data)
         self._fixed = [(slice(*ends), data[slice(*ends)]) for ends in layout.fixed]
         self._layout, self._size = layout, len(data)
 
@@ -328,7 +328,7 @@ def tables(type_name: str, messages: Sequence[bytes]) -> Iterator[Table]:
     """Group the serialized messages of a topic by layout.
 
     Raises:
-        BagError: If a message is not of the given type.
+        MessageError: If a message is not of the given type.
     """
     sizes = np.fromiter(map(len, messages), dtype=np.int64, count=len(messages))
     for size in np.unique(sizes):
@@ -336,11 +336,7 @@ def tables(type_name: str, messages: Sequence[bytes]) -> Iterator[Table]:
         joined = b"".join([messages[row] for row in rows.tolist()])
         matrix = np.frombuffer(joined, dtype=np.uint8).reshape(len(rows), int(size))
         while len(rows):
-            try:
-                layout = _layout(type_name, messages[int(rows[0])])
-            except ValueError as error:
-                text = f"A message is not a valid {type_name}: {error}; record it again."
-                raise BagError(text) from None
+            layout = _layout(type_name, messages[int(rows[0])])
             same = np.ones(len(matrix), dtype=np.bool_)
             for start, end in layout.fixed:
                 same &= (matrix[:, start:end] == matrix[0, start:end]).all(axis=1)
@@ -383,10 +379,7 @@ class BatchReader:
 
     def _learn(self, message: bytes) -> NDArray[np.uint8]:
         """Make the layout of a message the known one, and return its only row."""
-        try:
-            layout = _layout(self._type, message)
-        except ValueError as error:
-            raise MessageError(f"a message is not a {self._type}: {error}") from None
+        layout = _layout(self._type, message)
         groups = [(*layout.doubles[name], width) for name, width in self._groups.items()]
         expected = sum(self._groups.values())
         if (count := sum(min(count, width) for _, count, width in groups)) != expected:

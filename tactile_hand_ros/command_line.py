@@ -6,6 +6,7 @@ from __future__ import annotations
 import contextlib
 import os
 import queue
+import re
 import signal
 import sys
 import webbrowser
@@ -181,6 +182,9 @@ def os_sentence(error: OSError) -> str:
     return f"{where}: {reason}."
 
 
+_OF_ROS = re.compile("rclpy|ament_index_python")
+
+
 def _explained(error: BaseException) -> tuple[str, int | None]:
     """Return sentence and exit code of an error; no code for a bug."""
     if number := _signal_behind(error):
@@ -194,10 +198,11 @@ def _explained(error: BaseException) -> tuple[str, int | None]:
         return str(error), EXIT_REFUSED
     if isinstance(error, OSError):
         return os_sentence(error), EXIT_REFUSED
-    if isinstance(error, ImportError) and "rclpy" in f"{error.name} {error.path}":
+    if isinstance(error, ImportError) and _OF_ROS.search(f"{error.name} {error.path}"):
         return (
-            f"rclpy cannot be loaded by Python {sys.version_info.major}.{sys.version_info.minor} "
-            f"({str(error).splitlines()[0]}); has this shell sourced another ROS? Start a new one.",
+            f"ROS 2 cannot be loaded by Python {sys.version_info.major}.{sys.version_info.minor} "
+            f"({str(error).splitlines()[0]}); install its wheels, or start a new shell if this one "
+            "has sourced another ROS.",
             EXIT_REFUSED,
         )
     if hasattr(error, "show") and hasattr(error, "exit_code"):  # wrong usage or a help request

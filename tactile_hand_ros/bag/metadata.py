@@ -26,7 +26,7 @@ OfferedQos = Mapping[str, Any]
 _PLAIN = re.compile(r"[A-Za-z_/][A-Za-z0-9_/.+-]*")
 
 
-@dataclass(frozen=True)
+@dataclass
 class TopicMetadata:
     """One recorded topic."""
 

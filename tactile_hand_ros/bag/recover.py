@@ -45,11 +45,6 @@ class Recovery(NamedTuple):
     metadata: BagMetadata
     left: int
 
-    @property
-    def messages(self) -> int:
-        """Number of recovered messages."""
-        return self.metadata.message_count
-
 
 def recover(bag: Path | str, out: Path | str | None = None, last: float = 0.0) -> Recovery:
     """Write all complete chunks of a bag, from any recorder, to a new bag.
@@ -74,7 +69,7 @@ def recover(bag: Path | str, out: Path | str | None = None, last: float = 0.0) -
         for file in files:
             copy.add(file)
         recovery = Recovery(target, copy.close(), copy.left)
-        if not recovery.messages:
+        if not recovery.metadata.message_count:
             raise BagError(f"nothing in {source} can be recovered; no bag was written.")
         return recovery
     except BaseException:  # half a bag would block the next attempt

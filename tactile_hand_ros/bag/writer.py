@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -68,10 +68,8 @@ class BagWriter:
             ) from None
         self.path = self.folder / f"{self.folder.resolve().name}_0.mcap"
         self.is_open = True
-        self.message_count = 0
         self._start, self._end = NO_START, 0
         self._topics: list[TopicMetadata] = []
-        self._counts: list[int] = []
         self._schemas: dict[tuple[str, MessageDefinition], int] = {}
         self._file = self.path.open("xb")
         self._writer = Writer(
@@ -112,7 +110,6 @@ class BagWriter:
         texts = {"offered_qos_profiles": dump(list(offers)), "topic_type_hash": type_hash}
         self._do(self._writer.register_channel, topic, "cdr", self._schemas[key], texts)
         self._topics.append(TopicMetadata(topic, type_name, tuple(offers), type_hash))
-        self._counts.append(0)
         return len(self._topics)
 
     def add_metadata(self, name: str, values: Mapping[str, str]) -> None:
@@ -122,8 +119,7 @@ class BagWriter:
     def write(self, channel: int, data: bytes, log_time: int, publish_time: int) -> None:
         """Append one CDR message, with times of reception and publication in ns since the epoch."""
         self._do(self._writer.add_message, channel, log_time, data, publish_time)
-        self._counts[channel - 1] += 1
-        self.message_count += 1
+        self._topics[channel - 1].message_count += 1
         self._start = min(self._start, log_time)
         self._end = max(self._end, log_time)
 
@@ -145,15 +141,11 @@ class BagWriter:
 
     def metadata(self) -> BagMetadata:
         """Return the current metadata, with topics sorted by name."""
-        topics = [
-            replace(topic, message_count=count)
-            for topic, count in zip(self._topics, self._counts, strict=True)
-        ]
         return BagMetadata(
             path=self.path.name,
             start=self._start,
-            duration=self._end - self._start if self.message_count else 0,
-            topics=sorted(topics, key=lambda topic: topic.name),
+            duration=max(0, self._end - self._start),
+            topics=sorted(self._topics, key=lambda topic: topic.name),
             custom_data=dict(self.custom_data),
         )
 

@@ -71,21 +71,13 @@ def print_files(files: Sequence[Path], folder: Path) -> None:
 def bar(title: str, total: float | None = None) -> Iterator[Callable[..., None]]:
     """Show a bar on a terminal, nothing elsewhere; without `total`, it has no end.
 
-    Yield `rich.progress.Progress.update`; its field ``text`` is shown next to the bar.
+    Yield `rich.progress.Progress.update`.
     """
-    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+    from rich.progress import Progress
 
     output = console(stderr=True)
-    shown = Progress(
-        TextColumn("{task.description}"),
-        BarColumn(20),
-        TimeRemainingColumn(),
-        TextColumn("{task.fields[text]}"),
-        console=output,
-        transient=True,
-        disable=not output.is_terminal,
-    )
-    task = shown.add_task(title, total=total, text="")
+    shown = Progress(console=output, transient=True, disable=not output.is_terminal)
+    task = shown.add_task(title, total=total)
     with shown:
         yield functools.partial(shown.update, task)
 
@@ -94,11 +86,13 @@ def bar(title: str, total: float | None = None) -> Iterator[Callable[..., None]]
 def steps(title: str, total: int) -> Iterator[Callable[[str], None]]:
     """Show a bar for some steps; yield a function to call with the name of each finished step."""
     with bar(title, total) as update:
-        yield lambda latest: update(advance=1, text=latest)
+        yield lambda latest: update(advance=1, description=f"{title}: {latest}")
 
 
 @contextlib.contextmanager
 def progress(title: str) -> Iterator[Callable[[int, int], None]]:
     """Show the progress of a study; yield a function to call with the finished and all runs."""
     with bar(title) as update:
-        yield lambda done, total: update(completed=done, total=total, text=f"{done} of {total}")
+        yield lambda done, total: update(
+            completed=done, total=total, description=f"{title}: {done} of {total}"
+        )

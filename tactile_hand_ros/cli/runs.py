@@ -101,9 +101,9 @@ def _recompute(bag: Path, namespace: str, law: str) -> None:
     from tactile_hand_ros.run.run import Run
     from tactile_hand_ros.verify import recompute as r
 
-    result = r.recompute(Run(bag, namespace=namespace or None), law)
-    print_table("recorded and recomputed", r.COLUMNS, [each.row for each in result.comparisons])
-    if not result.same:
+    found = r.recompute(Run(bag, namespace=namespace or None), law)
+    print_table("recorded and recomputed", r.COLUMNS, [each.row for each in found])
+    if not all(each.same for each in found):
         text = "The answers differ: another law, other versions of code or libraries, or lost "
         print(f"{text}messages (see `tactile-hand summary`).", file=sys.stderr)
         raise typer.Exit(1)
@@ -115,17 +115,11 @@ def _publish(
     from tactile_hand_ros.bag.reader import find_bag
 
     bag = find_bag(path)
-    try:
-        from tactile_hand_ros.ros.middleware import check_environment, full_namespace
+    from tactile_hand_ros.ros.middleware import check_environment, full_namespace
 
-        check_environment(os.environ)  # before rclpy is loaded: it would end the process
-        from tactile_hand_ros.nodes.recorder.config import TopicSelection
-        from tactile_hand_ros.nodes.replay import replaying
-    except ModuleNotFoundError as error:
-        raise TactileHandError(
-            f"Replay needs ROS 2, but there is no module '{error.name}'; source ROS 2 or "
-            "install its wheels."
-        ) from None
+    check_environment(os.environ)  # before rclpy is loaded: it would end the process
+    from tactile_hand_ros.nodes.recorder.config import TopicSelection
+    from tactile_hand_ros.nodes.replay import replaying
 
     selection = TopicSelection(topics, exclude)
     place = full_namespace(namespace).rstrip("/")
@@ -137,7 +131,7 @@ def _publish(
         def watch() -> None:
             done, messages = player.position, counted(player.messages, "message")
             text = f"{done:.1f} of {player.duration:.1f} s, {messages}"
-            update(completed=done, text=text)
+            update(completed=done, description=text)
 
         for topic, reason in player.skipped.items():
             print(f"{topic} is not published: {reason}", file=sys.stderr)
@@ -160,7 +154,7 @@ def recover(
 
     new = r.recover(bag, out, last)
     lost = f"{counted(new.left, 'byte')} could not be used" if new.left else "nothing is lost"
-    print(f"recovered {counted(new.messages, 'message')} to {new.target}; {lost}")
+    print(f"recovered {counted(new.metadata.message_count, 'message')} to {new.target}; {lost}")
 
 
 COMMANDS = (report, summary, recover, replay)

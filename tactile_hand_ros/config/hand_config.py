@@ -102,12 +102,8 @@ class HandConfig(Config):
     any_inertia: bool = param(
         False, "accept links with an inertia that no body has, as in the paper's Table I"
     )
-    limits: dict[str, LimitConfig] = Field(
-        default_factory=dict, description="limits that replace those of the URDF, by joint"
-    )
-    couplings: dict[str, Coupling] = Field(
-        default_factory=dict, description="couplings that replace <mimic>, by follower"
-    )
+    limits: dict[str, LimitConfig] = param({}, "limits that replace those of the URDF, by joint")
+    couplings: dict[str, Coupling] = param({}, "couplings that replace <mimic>, by follower")
     joint_losses: Literal["ignore", "file"] = param(
         "ignore", "damping and friction of the joints in the simulation: none, or the file's"
     )

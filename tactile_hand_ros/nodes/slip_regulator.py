@@ -21,7 +21,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from geometry_msgs.msg import WrenchStamped
 from numpy.typing import NDArray
-from sensor_msgs.msg import JointState, JoyFeedbackArray
+from sensor_msgs.msg import JointState, JoyFeedback, JoyFeedbackArray
 from std_msgs.msg import Bool, Float64, String
 from std_srvs.srv import Trigger
 
@@ -42,7 +42,6 @@ from tactile_hand_ros.ros.messages import (
     JointCodec,
     WrenchCodec,
     WrenchPublishers,
-    feedback_message,
     read_number,
 )
 from tactile_hand_ros.ros.node import TactileNode
@@ -297,7 +296,9 @@ class SlipRegulatorNode(TactileNode[SlipRegulatorConfig]):
         self._strongest = max(self._strongest, slip)
         if stamp // _HAPTIC_PERIOD_NS != self._haptic_period:
             self._haptic_period = stamp // _HAPTIC_PERIOD_NS
-            self._haptic_publisher.publish(feedback_message((grip, self._strongest)))
+            kind, shown = JoyFeedback.TYPE_RUMBLE, enumerate((grip, self._strongest))
+            array = [JoyFeedback(type=kind, id=i, intensity=value) for i, value in shown]
+            self._haptic_publisher.publish(JoyFeedbackArray(array=array))
             self._strongest = 0.0
 
 

@@ -15,11 +15,11 @@ from typing import Any
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rcl_interfaces.msg import ParameterEvent
 from rclpy.publisher import Publisher
+from rclpy.time import Time
 
 from tactile_hand_ros import names
 from tactile_hand_ros.config.model import Config
 from tactile_hand_ros.ros import qos
-from tactile_hand_ros.ros.messages import stamp_from_ns
 from tactile_hand_ros.ros.node import TactileNode
 from tactile_hand_ros.ros.parameters import to_parameters
 
@@ -67,7 +67,7 @@ class AppliedChanges:
         event = ParameterEvent(node=self._full_name, changed_parameters=to_parameters(config))
 
         def message_at(stamp_ns: int) -> ParameterEvent:
-            event.stamp = stamp_from_ns(stamp_ns)
+            event.stamp = Time(nanoseconds=stamp_ns).to_msg()
             return event
 
         self.add(self._parameters, message_at)
@@ -104,7 +104,7 @@ class AppliedChanges:
         values = [KeyValue(key=key, value=value)]
         status = DiagnosticStatus(level=level, name=self._name, message=text, values=values)
         message = DiagnosticArray(status=[status])
-        message.header.stamp = stamp_from_ns(stamp_ns)
+        message.header.stamp = Time(nanoseconds=stamp_ns).to_msg()
         return message
 
     def add(self, publisher: Publisher, message_at: MessageAt) -> None:

@@ -24,6 +24,7 @@ from geometry_msgs.msg import (
 )
 from rclpy.qos import QoSProfile, QoSReliabilityPolicy
 from rclpy.subscription import Subscription
+from rclpy.time import Time as RosTime
 from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray
 
@@ -34,7 +35,7 @@ from tactile_hand_ros.control.contact import known_part
 from tactile_hand_ros.errors import MessageError
 from tactile_hand_ros.ros import qos
 from tactile_hand_ros.ros.endpoints import subscribe_directly, take_latest
-from tactile_hand_ros.ros.messages import ContactsCodec, Pose, PoseCodec, WrenchCodec, stamp_from_ns
+from tactile_hand_ros.ros.messages import ContactsCodec, Pose, PoseCodec, WrenchCodec
 from tactile_hand_ros.ros.node import TactileNode
 from tactile_hand_ros.ros.runner import run_node
 from tactile_hand_ros.simulation.plant_config import ObjectConfig
@@ -115,7 +116,7 @@ class ViewerNode(TactileNode[ViewerConfig]):
                     self._newest[topic] = decode(data)
         frames = self._frames()
         if self._tf is not None and names.CONTACTS in self._newest:
-            stamp = stamp_from_ns(self._newest[names.CONTACTS][0])
+            stamp = RosTime(nanoseconds=self._newest[names.CONTACTS][0]).to_msg()
             made = [self._transform(stamp, name, pose) for name, pose in frames.items()]
             self._tf.publish(TFMessage(transforms=made))
         if self._markers.get_subscription_count():

@@ -31,10 +31,6 @@ from tactile_hand_ros.scenario.scenario import Scenario, load_scenario
 _WIDTH = 100  # of tables in logs and pipes
 
 
-class RunInProgressError(TactileHandError):
-    """Another run is in progress in the same ROS domain and namespace."""
-
-
 def execute(
     options: RunOptions,
     signals: Signals,
@@ -128,7 +124,7 @@ def _conclude(
 
 @contextlib.contextmanager
 def single_run_lock(domain: int, namespace: str) -> Iterator[None]:
-    """Lock a domain and namespace on this machine; raise RunInProgressError if a run holds them.
+    """Lock a domain and namespace on this machine; raise TactileHandError if a run holds them.
 
     The lock is an abstract socket: the kernel removes it when this process exits, however it ends.
     """
@@ -137,7 +133,7 @@ def single_run_lock(domain: int, namespace: str) -> Iterator[None]:
         try:
             lock.bind(f"\0tactile_hand_ros/{name}")
         except OSError:
-            raise RunInProgressError(
+            raise TactileHandError(
                 f"a run is in progress in ROS domain {domain} and namespace '{namespace}'; stop "
                 "it, or give this one another --namespace or ROS_DOMAIN_ID"
             ) from None

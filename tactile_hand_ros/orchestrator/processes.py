@@ -65,7 +65,7 @@ def started_by(name: str, guard: list[str]) -> list[str]:
     """Return the command for an executable under `guard`: ``ros2 run``, or its file without `ros2`.
 
     Raises:
-        ExecutableError: If it does not exist.
+        TactileHandError: If it does not exist.
     """
     path = executable_path(name)
     if (ros2 := _ros2()) is None:

@@ -50,7 +50,8 @@ def read_results(plan: Plan, directory: RunDirectory, outcome: RunOutcome) -> Ru
         return RunResults(problems=[str(error)])
     ticks, lost = run.metrics.ticks, run.lost_messages or 0
     # In real time a late plant skips ticks.
-    expected = plan.scenario.ticks if outcome.is_complete and _is_lockstep(plan) else None
+    is_whole = _is_lockstep(plan) and not (outcome.failure or outcome.interrupted)
+    expected = plan.scenario.ticks if is_whole else None
     recording |= {"expected_ticks": expected, LOST_KEY: lost}
     # The table and `tactile-hand summary` list the topics.
     if recording["absent"] or (_is_lockstep(plan) and not recording["complete"]):

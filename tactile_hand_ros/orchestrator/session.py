@@ -48,14 +48,6 @@ _REST = 1.0  # s, longest wait for the answers to the last tick
 _SHARED = ["/diagnostics", "/clock", "/rosout", "/tf", "/tf_static"]  # not in a namespace
 
 
-class StartupError(TactileHandError):
-    """The graph was not complete in time."""
-
-
-class StallError(TactileHandError):
-    """The plant receives no more answers."""
-
-
 class StallCheck:
     """Detects that a run has come to a stop.
 
@@ -116,11 +108,6 @@ class RunOutcome:
     last_tick: int = -1  # ns, the last answered tick, -1 for none
     plant: dict[str, str] = field(default_factory=dict)  # the plant's last diagnostics
 
-    @property
-    def is_complete(self) -> bool:
-        """Whether the run reached its last tick."""
-        return not (self.failure or self.interrupted)
-
 
 class Session:
     """One run of a plan in a run directory; `outcome` is its result."""
@@ -171,7 +158,7 @@ class Session:
         """Return the parameters of the nodes in start order."""
         scenario, prefix = self.plan.scenario, self.plan.namespace.rstrip("/")
         endless = {"duration": 0.0} if self.plan.interactive else {}
-        configs: dict[str, Config] = {node: scenario.node_config(node) for node in NODES}
+        configs: dict[str, Config] = {node: getattr(scenario, node) for node in NODES}
         configs[PLANT] = scenario.plant.changed({"autostart": False, **endless})
         if self.plan.record:
             configs[RECORDER] = RecorderConfig(
@@ -197,7 +184,7 @@ class Session:
             self._come_to_rest(steering, monitor)
 
     def _await_graph(self, node: Node, monitor: Monitor, steering: Steering) -> None:
-        """Wait until all nodes exist and have matched each other; else raise StartupError."""
+        """Wait until all nodes exist and have matched each other; else raise TactileHandError."""
         plan, own = self.plan, node.get_fully_qualified_name()
         members = [*NODES, names.ORCHESTRATOR]
         if plan.record and not plan.composed:
@@ -212,7 +199,7 @@ class Session:
             self._processes.check()
             if time.monotonic() > end:
                 first = first or (PLANT, "the plant's service does not answer yet")
-                raise StartupError(self._absence(dict(reversed([first, *missing]))))
+                raise TactileHandError(self._absence(dict(reversed([first, *missing]))))
             self.signals.wait(_GRAPH_LOOK)
 
     def _absence(self, missing: dict[str, str]) -> str:
@@ -239,7 +226,7 @@ class Session:
             if outcome.first_tick is None and outcome.last_tick >= 0:
                 outcome.first_tick = round(_process_age(), 3)
             if stall.step(now, outcome.last_tick, monitor.of(PLANT).get("mode", "")):
-                raise StallError(_stall(monitor))
+                raise TactileHandError(_stall(monitor))
             if now >= due:
                 due = now + view.period
                 view.show(monitor)

@@ -25,7 +25,6 @@ import numpy as np
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import WrenchStamped
 from numpy.typing import NDArray
-from sensor_msgs.msg import JoyFeedback, JoyFeedbackArray
 
 from tactile_hand_ros.cdr import ENCODING, CdrTemplate, Content, ContentReader, to_nanoseconds
 from tactile_hand_ros.compiled import Array
@@ -42,7 +41,6 @@ Force = tuple[float, float, float]
 LARGEST_NUMBER = 1e9
 """Largest magnitude that a message may carry, in SI units; larger numbers overflow in products."""
 
-_SECOND = 1_000_000_000
 _LARGEST_SQUARE = LARGEST_NUMBER * LARGEST_NUMBER
 _LONGEST_NAME = 80  # of a sender's text in an error
 _UNIT_TOLERANCE = 1e-3
@@ -68,12 +66,6 @@ def stamp_to_ns(stamp: Time) -> int:
         MessageError: If it is not a valid time.
     """
     return to_nanoseconds(int(stamp.sec), int(stamp.nanosec))
-
-
-def stamp_from_ns(nanoseconds: int) -> Time:
-    """Return a time in nanoseconds as a message timestamp."""
-    seconds, rest = divmod(nanoseconds, _SECOND)
-    return Time(sec=seconds, nanosec=rest)
 
 
 def all_usable(values: Array) -> bool:
@@ -439,12 +431,3 @@ class ImuCodec:
         orientation = content.doubles["orientation"]
         _checked_quaternion(orientation.tolist(), "the orientation")
         return content.stamp, orientation
-
-
-def feedback_message(intensities: Sequence[float]) -> JoyFeedbackArray:
-    """Return rumble intensities as a message, clipped to the range 0 to 1."""
-    rumbles = [
-        JoyFeedback(type=JoyFeedback.TYPE_RUMBLE, id=index, intensity=min(1.0, max(0.0, intensity)))
-        for index, intensity in enumerate(map(float, intensities))
-    ]
-    return JoyFeedbackArray(array=rumbles)

@@ -8,7 +8,6 @@ the node reports the line of this package that failed and goes to its safe state
 
 from __future__ import annotations
 
-import copy
 import functools
 import os
 import time
@@ -59,6 +58,7 @@ class TickPublisher:
     Attributes:
         kind: Message class.
         topic: Full name of the topic.
+        taps: They are called with each message before it is sent.
     """
 
     def __init__(self, node: Node, kind: Any, topic: str, encode: Callable[..., bytes]) -> None:
@@ -67,17 +67,9 @@ class TickPublisher:
         self._publisher = node.create_publisher(kind, topic, qos.tick_publisher_qos())
         self.kind = kind
         self.topic: str = self._publisher.topic_name
-        self._taps: list[Callable[[bytes], None]] = []
+        self.taps: list[Callable[[bytes], None]] = []
         self._is_read = False
         self._last: tuple[Any, ...] | None = None
-
-    def add_tap(self, tap: Callable[[bytes], None]) -> None:
-        """Call back with each future message before it is sent."""
-        self._taps.append(tap)
-
-    def remove_tap(self, tap: Callable[[bytes], None]) -> None:
-        """Stop calling back."""
-        self._taps.remove(tap)
 
     def get_subscription_count(self) -> int:
         """Return the current number of matched subscriptions."""
@@ -88,10 +80,10 @@ class TickPublisher:
     def publish(self, *values: Any) -> None:
         """Publish a message with these values; encode it only for a subscriber or tap."""
         self._last = values
-        if not (self._is_read or self._taps):
+        if not (self._is_read or self.taps):
             return
         data = self._encode(*values)
-        for tap in self._taps:
+        for tap in self.taps:
             tap(data)
         if self._is_read:
             self._publisher.publish(data)
@@ -248,8 +240,7 @@ class TactileNode(Node, Generic[C]):
         ``qos_overrides.<full topic>.subscription.reliability``.
         """
         options = QoSOverridingOptions.with_default_policies() if sensor else None
-        # A copy, because rclpy writes QoS overrides into the given profile.
-        own = copy.copy(profile) if profile is not None else qos.tick_qos()
+        own = profile or qos.tick_qos()
         return self.create_subscription(
             message_type, topic, callback, own, qos_overriding_options=options, raw=raw
         )

@@ -21,21 +21,17 @@ from tactile_hand_ros.errors import TactileHandError
 PACKAGE = "tactile_hand_ros"
 
 
-class ExecutableError(TactileHandError):
-    """An executable of this package that was not found."""
-
-
 def executable_directory() -> Path:
     """Return ``<prefix>/lib/tactile_hand_ros``, the only folder that ``ros2 run`` searches.
 
     Raises:
-        ExecutableError: If the package is not in the ament index.
+        TactileHandError: If the package is not in the ament index.
     """
     try:
         prefix = get_package_prefix(PACKAGE)
     except (LookupError, OSError) as error:  # OSError: there is no index
         searched = os.environ.get("AMENT_PREFIX_PATH", "")
-        raise ExecutableError(
+        raise TactileHandError(
             f"The ament index at AMENT_PREFIX_PATH='{searched}' has no {PACKAGE}:"
             " build it (make setup, or colcon build) and source its setup file."
         ) from error
@@ -46,11 +42,13 @@ def executable_path(name: str) -> Path:
     """Return the file that ``ros2 run tactile_hand_ros <name>`` starts.
 
     Raises:
-        ExecutableError: If there is no such executable.
+        TactileHandError: If there is no such executable.
     """
     path = executable_directory() / name
     if not (path.is_file() and os.access(path, os.X_OK)):
-        raise ExecutableError(f"There is no executable {path}; build and install the package anew.")
+        raise TactileHandError(
+            f"There is no executable {path}; build and install the package anew."
+        )
     return path
 
 
@@ -70,7 +68,7 @@ _PATIENCE = ((signal.SIGINT, 5.0), (signal.SIGTERM, 2.0), (signal.SIGKILL, 5.0))
 _HAS_ENDED = os.WEXITED | os.WNOHANG | os.WNOWAIT
 
 
-def wait_until(condition: Callable[[], Any], timeout: float = 10.0, message: str = "") -> Any:
+def wait_until(condition: Callable[[], Any], timeout: float = 60.0, message: str = "") -> Any:
     """Wait up to `timeout` [s] until a condition is true and return its value.
 
     Raises:

@@ -35,7 +35,7 @@ class TickRelay:
     """
 
     def __init__(self, node: Node, publishers: Sequence[Any]) -> None:
-        """Create the publisher; `publishers` may grow later."""
+        """Create the publisher; `publishers` may grow until it is served."""
         self._prefix = node.get_namespace().rstrip("/") + "/"
         self._sources = publishers
         topic = names.ticks_of(node.get_name())
@@ -48,8 +48,7 @@ class TickRelay:
         if not self._publisher.get_subscription_count():
             self._detach()
             return
-        if len(self._taps) < len(self._sources):
-            self._detach()
+        if not self._taps:
             self._attach()
         if any(self._waiting.values()):
             self._publisher.publish(self._batch())
@@ -59,11 +58,11 @@ class TickRelay:
             waiting = self._waiting.setdefault(source.topic, bytearray())
             tap = partial(_keep, waiting)
             self._taps.append((source, tap))
-            source.add_tap(tap)
+            source.taps.append(tap)
 
     def _detach(self) -> None:
         for source, tap in self._taps:
-            source.remove_tap(tap)
+            source.taps.remove(tap)
         self._taps.clear()
         self._waiting.clear()
 

@@ -166,7 +166,7 @@ class Series:
 def read_series(
     messages: Mapping[str, TopicMessages], types: Mapping[str, str]
 ) -> dict[str, Series]:
-    """Turn messages into arrays, by full name of the topic; raise BagError if one is broken."""
+    """Turn messages into arrays, by full name of the topic; raise MessageError if one is broken."""
     return {topic: _series(type_name, messages[topic]) for topic, type_name in types.items()}
 
 

@@ -80,6 +80,7 @@ class Run(Result):
 
         Raises:
             BagError: If there is no such run, or its bag is broken or holds no such hand.
+            MessageError: If a message in it is broken.
         """
         self.path = Path(path)
         self.bag = find_bag(self.path)

@@ -193,11 +193,6 @@ class Scenario(Config):
         """Number of ticks in the run; the first is at 0 s and the last at the duration."""
         return round(self.duration * self.plant.rate) + 1
 
-    def node_config(self, node: str) -> Config:
-        """Return the parameters of a node by its name."""
-        section: Config = getattr(self, node)
-        return section
-
 
 def _derived(data: dict[str, Any]) -> dict[str, Any]:
     """Return the values that follow from others unless they are set, as a part of a scenario.

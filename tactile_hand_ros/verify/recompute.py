@@ -75,21 +75,8 @@ class Comparison:
         return [self.topic, str(self.compared), str(self.identical), first, apart]
 
 
-@dataclass(frozen=True)
-class Recomputation:
-    """The recomputed run, in which what controllers do not compute is as recorded; comparisons."""
-
-    record: Record
-    comparisons: list[Comparison]
-
-    @property
-    def same(self) -> bool:
-        """Whether all topics are identical."""
-        return all(comparison.same for comparison in self.comparisons)
-
-
-def recompute(run: Run, law: str = "") -> Recomputation:
-    """Recompute the controllers' answers from the sensor topics of a run.
+def recompute(run: Run, law: str = "") -> list[Comparison]:
+    """Recompute the controllers' answers from the sensor topics of a run, and compare both.
 
     `law` replaces the recorded one. A user's own law must be given even if it is the recorded one,
     because a recording imports no code.
@@ -106,7 +93,7 @@ def recompute(run: Run, law: str = "") -> Recomputation:
         )
     scenario = run.scenario.changed({"law": law} if law else {})
     record = ShadowLoop(read_inputs(run, scenario, of_scenario=OF_LAW if law else ())).run()
-    return Recomputation(record, compare(run.record, record))
+    return compare(run.record, record)
 
 
 def compare(recorded: Record, other: Record) -> list[Comparison]:

@@ -81,7 +81,7 @@ def read_inputs(run: Run, scenario: Scenario, of_scenario: Collection[str] = ())
     commands = {names.REGULATOR: _forces(run), names.OPTIMIZER: [], names.CONTROLLER: _poses(run)}
     changes = {}
     for node in CONTROLLERS:
-        first, *later = _configurations(run, node, scenario.node_config(node), of_scenario)
+        first, *later = _configurations(run, node, getattr(scenario, node), of_scenario)
         asked = read_asked(run.messages[run.topics.full(names.accepted_requests(node))])
         later += [Change(each.stamp, each.key, _value(each, record.finger_names)) for each in asked]
         later += commands[node]

@@ -22,6 +22,7 @@ from tactile_hand_ros.scenario.scenario import load_scenario
 STIFFNESS, DAMPING = 2.0, 0.006  # N m/rad, N m s/rad
 PULL = {"kind": "step", "start": 0.8, "force": [0.0, 0.0, -2.0]}
 CHANGES = {"duration": 86400, "plant.autostart": False, "plant.disturbances": [PULL]}
+CHANGES |= {"plant.command_timeout": 60.0}  # a slow computer must not count as silence
 
 
 class ServoGraph(Graph):

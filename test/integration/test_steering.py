@@ -30,6 +30,7 @@ def hand(domain: int, tmp_path: Path) -> Iterator[tuple[CapturedProcess, float]]
     """Return an orchestrator with a hand that runs until a signal, and when it was started, s."""
     began = time.monotonic()
     words = ("paper", "--interactive", "--out", str(tmp_path / "runs"), "--set", "targets=[]")
+    words += ("--set", "plant.command_timeout=60")  # a slow computer must not count as silence
     with start_executable("orchestrator", *words) as process:
         process.wait_for_output("t = ", PATIENCE)
         yield process, began
@@ -78,4 +79,4 @@ def test_every_pose_arrives_and_refusals_are_answered(hand, domain, tmp_path, ca
     assert list(dict.fromkeys((p.x, p.y, p.z) for p in points)) == [*POSES, *commanded]
     assert "/desired_pose" not in summarize(run.bag).types
     assert run.record.desired_position[-1].tolist() == [0.0, 0.0436, 0.4108]
-    assert recompute(run).same and run.bag_metrics.complete
+    assert all(each.same for each in recompute(run)) and run.bag_metrics.complete

@@ -107,7 +107,7 @@ def tapped(node: Any) -> dict[str, list[bytes]]:
     """Return the lists that collect a node's messages at each tick, by relative topic."""
     sent: dict[str, list[bytes]] = {}
     for publisher in node.tick_publishers:
-        publisher.add_tap(sent.setdefault(publisher.topic.lstrip("/"), []).append)
+        publisher.taps.append(sent.setdefault(publisher.topic.lstrip("/"), []).append)
     return sent
 
 

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from support.messages import contacts_message, force_message, joint_message, serialized
 
 from tactile_hand_ros.cdr import BatchReader, packed, tables, unpacked
-from tactile_hand_ros.errors import BagError, MessageError
+from tactile_hand_ros.errors import MessageError
 
 WRENCH = "geometry_msgs/msg/WrenchStamped"
 JOINTS = "sensor_msgs/msg/JointState"
@@ -76,21 +76,21 @@ def test_arrays_of_poses_may_change_their_length():
 @pytest.mark.parametrize("size", [0, 3, 8, 15, 30, -1])
 def test_truncated_message(size):
     message = serialized(joint_message(["a", "b"], 1, position=[1.0, 2.0]))
-    with pytest.raises(BagError, match="not a valid sensor_msgs/msg/JointState"):
+    with pytest.raises(MessageError, match="not a sensor_msgs/msg/JointState"):
         list(tables(JOINTS, [message[:size]]))
 
 
 def test_length_beyond_the_end():
     message = bytearray(serialized(joint_message(["a"], 1, position=[1.0])))
     message[20:24] = struct.pack("<I", 2**32 - 1)
-    with pytest.raises(BagError, match="announced"):
+    with pytest.raises(MessageError, match="announced"):
         list(tables(JOINTS, [bytes(message)]))
 
 
 @pytest.mark.parametrize("encoding", ["0007", "0002", "0100", "0101", "0000"])
 def test_foreign_encoding(encoding):
     message = bytes.fromhex(encoding) + serialized(force_message((1.0, 2.0, 3.0), 1))[2:]
-    with pytest.raises(BagError, match=f"encoding {encoding}"):
+    with pytest.raises(MessageError, match=f"encoding {encoding}"):
         list(tables(WRENCH, [message]))
 
 

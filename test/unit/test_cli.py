@@ -212,7 +212,7 @@ def test_an_rclpy_that_cannot_be_loaded_is_one_sentence(capsys):
 
     assert run_command("hand", load) == 2
     said = capsys.readouterr().err
-    assert "has this shell sourced another ROS" in said and said.count("\n") == 1
+    assert "a new shell if this one has sourced another ROS" in said and said.count("\n") == 1
 
 
 @pytest.mark.parametrize(

@@ -66,7 +66,7 @@ def modules_of_a_tick(node: Any) -> list[str]:
     answers: list[set[str]] = []
     for publisher in node.tick_publishers:
         if publisher.topic.lstrip("/") in ANSWERS:
-            publisher.add_tap(lambda _: answers.append(set(found)))
+            publisher.taps.append(lambda _: answers.append(set(found)))
 
     def note(frame: FrameType, event: str, _: Any) -> None:
         file = Path(frame.f_code.co_filename)

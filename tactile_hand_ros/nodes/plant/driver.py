@@ -176,12 +176,6 @@ class PlantDriver:
         else:
             self._on_brake()
 
-    def step_once(self) -> bool:
-        """Advance one tick and pause; return whether that was possible."""
-        if self._is_on or self._is_finished:
-            return False
-        return self.switch(True, single=True)
-
     def switch(self, is_on: bool, *, single: bool = False) -> bool:
         """Continue, for one tick if `single`, or pause; return whether that was possible."""
         self._is_single = single

@@ -125,7 +125,8 @@ class PlantNode(TactileNode[PlantConfig]):
         return response
 
     def _on_step(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        response.success = self._driver.step_once()
+        is_paused = self._driver.mode == "paused"
+        response.success = is_paused and self._driver.switch(True, single=True)
         response.message = self._driver.mode if response.success else "the plant is not paused"
         return response
 

@@ -17,7 +17,7 @@ from tactile_hand_ros.nodes.recorder.config import RecorderConfig, TopicSelectio
 from tactile_hand_ros.nodes.recorder.topic import RawTopic, publishers_of
 from tactile_hand_ros.nodes.recorder.writer_process import WriterProcess
 from tactile_hand_ros.ros.diagnostics import WARN
-from tactile_hand_ros.ros.node import SUBSCRIPTIONS, TactileNode, TickPublisher
+from tactile_hand_ros.ros.node import TactileNode, TickPublisher
 from tactile_hand_ros.ros.qos import HEARTBEAT
 from tactile_hand_ros.ros.runner import run_node
 
@@ -62,13 +62,12 @@ class RecorderNode(TactileNode[RecorderConfig]):
         self._topics: dict[str, RawTopic] = {}
         self._tapped: dict[str, int] = {}  # channels of publishers of this process
         self._refused: set[str] = set()
-        self._writer = WriterProcess(
-            Path(self.config.output),
-            compression=self.config.compression,
-            custom_data=provenance(self.config.scenario),
-        )
         try:
-            self._writer.check()
+            self._writer = WriterProcess(
+                Path(self.config.output),
+                compression=self.config.compression,
+                custom_data=provenance(self.config.scenario),
+            )
         except BagError:
             self.destroy_node()
             raise
@@ -99,10 +98,6 @@ class RecorderNode(TactileNode[RecorderConfig]):
         writer.custom_data[LOST_KEY] = str(sum(lost.values()))
         writer.custom_data |= {LOST_KEY + name: str(count) for name, count in lost.items()}
         writer.close()
-
-    def peers(self) -> dict[str, int]:
-        """Return the number of matched peers per topic; a tapped publisher counts as one."""
-        return super().peers() | {f"{SUBSCRIPTIONS} {topic}": 1 for topic in self._tapped}
 
     def on_report(self) -> None:
         """Report the counters of the recording."""
@@ -173,7 +168,7 @@ class RecorderNode(TactileNode[RecorderConfig]):
             now = time.time_ns()
             write(channel, data, now, now)
 
-        publisher.add_tap(note)
+        publisher.taps.append(note)
 
     def _discover(self) -> None:
         for name, types in self.get_topic_names_and_types():

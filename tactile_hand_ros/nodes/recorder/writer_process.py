@@ -58,7 +58,11 @@ class WriterProcess:
     """
 
     def __init__(self, folder: Path, **options: Any) -> None:
-        """Start the process, with options for `BagWriter`; `check` raises if it has no bag."""
+        """Start the process, with options for `BagWriter`, and wait for the bag.
+
+        Raises:
+            BagError: If it cannot be created.
+        """
         self.process = subprocess.Popen(
             [sys.executable, "-c", _PROGRAM],
             stdin=subprocess.PIPE,
@@ -81,13 +85,6 @@ class WriterProcess:
         self.is_open = True
         self._order("start", folder=folder, **options)
         self.send()
-
-    def check(self) -> None:
-        """Wait for the bag.
-
-        Raises:
-            BagError: If it cannot be created.
-        """
         reply = self._replies.readline()
         if reply != _OPEN:
             raise self._error(reply)

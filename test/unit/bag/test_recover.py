@@ -81,7 +81,7 @@ def test_cut_at_any_byte_all_whole_chunks_come_back(whole, tmp_path_factory, par
     assert file.read_bytes() == before and os.listdir(folder) == ["run_0.mcap"]
     got = [m.data for m in read_messages(recovery.target)]
     assert got == SENT[: len(got)]
-    assert len(got) == recovery.messages >= sum(map(len, chunks_of(before)))
+    assert len(got) == recovery.metadata.message_count >= sum(map(len, chunks_of(before)))
     summary = summarize(recovery.target)
     assert summary.message_count == len(got)
     assert summary.custom_data["recovered_bytes_left"] == str(recovery.left)
@@ -146,7 +146,7 @@ def test_damage_that_looks_like_a_record_is_left_out(tmp_path, change, left, los
     write_bag(tmp_path / "run")
     damage(tmp_path / "run" / "run_0.mcap", change)
     recovery = recover(tmp_path / "run")
-    assert 0 < recovery.messages <= COUNT - lost and recovery.left > left
+    assert 0 < recovery.metadata.message_count <= COUNT - lost and recovery.left > left
 
 
 def test_topic_and_times_are_kept(tmp_path):
@@ -251,7 +251,7 @@ def test_the_last_seconds_are_those_received_last_and_all_of_a_latched_topic(tmp
         for i in range(101):
             writer.write(ticks, payload(i), 10**9 + 10**8 * i, 0)
     for out, last in (("endless", float("inf")), ("huge", 1e300)):
-        assert recover(tmp_path / "run", tmp_path / out, last=last).messages == 102
+        assert recover(tmp_path / "run", tmp_path / out, last=last).metadata.message_count == 102
     expected = [("/latched", payload(0)), *(("/ticks", payload(i)) for i in range(80, 101))]
     file = tmp_path / "run" / "run_0.mcap"
     for out in ("whole", "damaged"):

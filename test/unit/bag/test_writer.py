@@ -104,8 +104,9 @@ def test_full_disk_is_a_clear_error_and_what_was_written_can_be_recovered(tmp_pa
     assert not writer.is_open and not (tmp_path / "run" / "metadata.yaml").exists()
     assert writer.path.stat().st_size <= small_disk
     writer.close()  # after the failure it is harmless
-    messages = recover(tmp_path / "run", tmp_path / "out").messages
-    assert writer.message_count - 200 < messages <= writer.message_count
+    messages = recover(tmp_path / "run", tmp_path / "out").metadata.message_count
+    written = writer.metadata().message_count
+    assert written - 200 < messages <= written
 
 
 _TIMES = st.integers(0, 2**62)

@@ -52,7 +52,7 @@ def test_a_node_subscribes_to_what_it_is_configured_to_use(scenario, changes, mo
     each_tick_qos = tick_publisher_qos()
     for kind in MEMBERS:
         name = _name(kind)
-        node = here.make(kind, composed=False, **parameters(wanted.node_config(name)))
+        node = here.make(kind, composed=False, **parameters(getattr(wanted, name)))
         received = {each.topic_name[1:] for each in node.subscriptions}
         read = {link.topic for link in each_tick() if name in link.subscribers}
         assert received == read | ASKED.get(name, set()) | more.get(name, set())

@@ -14,7 +14,6 @@ from tactile_hand_ros.errors import ConfigurationError, TactileHandError
 from tactile_hand_ros.names import PLANT, RECORDER
 from tactile_hand_ros.orchestrator.command import main, split_ros_arguments
 from tactile_hand_ros.orchestrator.execute import (
-    RunInProgressError,
     execute,
     shares_process,
     single_run_lock,
@@ -65,7 +64,7 @@ def test_one_run_has_a_domain_and_namespace_until_it_ends(place):
         single_run_lock(231, place + "b"),
     ):
         expected = f"in ROS domain 231 and namespace '{place}'"
-        with pytest.raises(RunInProgressError, match=re.escape(expected)):
+        with pytest.raises(TactileHandError, match=re.escape(expected)):
             with single_run_lock(231, place):
                 pass
     with single_run_lock(231, place):

@@ -9,13 +9,13 @@ import pytest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
+from rclpy.time import Time
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Empty
 
 from tactile_hand_ros import names
 from tactile_hand_ros.orchestrator.monitor import Monitor, View, line_console, missing_endpoints
 from tactile_hand_ros.ros.diagnostics import ERROR, OK, STALE, WARN
-from tactile_hand_ros.ros.messages import stamp_from_ns
 from tactile_hand_ros.ros.processes import wait_until
 
 SECOND = 10**9
@@ -99,7 +99,7 @@ def test_only_from_close_by_each_command_is_seen(hand):
     assert monitor.answered() == -1
     for second in (2, 2, 1, 7):
         message = JointState()
-        message.header.stamp = stamp_from_ns(second * SECOND)
+        message.header.stamp = Time(seconds=second).to_msg()
         hand.send("joint_command", message)
         assert monitor.answered() == monitor.tick == second * SECOND
 

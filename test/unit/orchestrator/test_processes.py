@@ -67,7 +67,7 @@ def test_stubborn_process_is_killed_and_named(tmp_path, monkeypatch):
 
 
 def test_process_that_has_closed_and_hangs_may_be_terminated(tmp_path, monkeypatch):
-    monkeypatch.setattr(ros_processes, "_PATIENCE", ((signal.SIGINT, 0.1), (signal.SIGTERM, 5.0)))
+    monkeypatch.setattr(ros_processes, "_PATIENCE", ((signal.SIGINT, 0.1), (signal.SIGTERM, 60.0)))
     with shells(mule=STUBBORN.replace(" TERM", "")) as processes:
         started(processes, tmp_path, "mule")
         assert processes.stop([["mule"]]) == []

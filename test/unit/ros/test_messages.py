@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from rclpy.serialization import deserialize_message, serialize_message
 from rosgraph_msgs.msg import Clock
-from sensor_msgs.msg import Imu, JointState, JoyFeedbackArray
+from sensor_msgs.msg import Imu, JointState
 from std_msgs.msg import Float64
 from support.messages import contacts_message, force_message, joint_message, pose_message
 
@@ -25,7 +25,6 @@ from tactile_hand_ros.ros.messages import (
     JointCodec,
     PoseCodec,
     WrenchCodec,
-    feedback_message,
     read_number,
     stamp_to_ns,
 )
@@ -359,10 +358,3 @@ def test_joint_states_of_an_arm_and_a_hand_are_read_by_the_names_of_the_hand():
     message.name[0], message.name[1] = "arm_1", "finger_a1"
     with pytest.raises(MessageError, match="'finger_a_1' is missing.* did you mean 'finger_a1'"):
         JointCodec(["b", "finger_a_1"], others=True).decode(serialize_message(message))
-
-
-def test_rumble_is_cut_to_its_range():
-    data = serialize_message(feedback_message((0.5, 7.0, -1.0)))
-    message = deserialize_message(data, JoyFeedbackArray)
-    shown = [(item.type, item.id, item.intensity) for item in message.array]
-    assert shown == [(1, 0, 0.5), (1, 1, 1.0), (1, 2, 0.0)]

@@ -12,13 +12,9 @@ import rclpy
 from std_msgs.msg import Float64
 
 from bench.processes import CapturedProcess, isolated_domain
+from tactile_hand_ros.errors import TactileHandError
 from tactile_hand_ros.ros.middleware import ros_context
-from tactile_hand_ros.ros.processes import (
-    ExecutableError,
-    end_together,
-    executable_path,
-    wait_until,
-)
+from tactile_hand_ros.ros.processes import end_together, executable_path, wait_until
 
 
 @pytest.mark.parametrize("prefix", [None, "/nowhere"])
@@ -26,12 +22,12 @@ def test_a_package_that_is_not_there_is_named(monkeypatch, prefix):
     monkeypatch.delenv("AMENT_PREFIX_PATH", raising=False)
     if prefix is not None:
         monkeypatch.setenv("AMENT_PREFIX_PATH", prefix)
-    with pytest.raises(ExecutableError, match=f"AMENT_PREFIX_PATH='{prefix or ''}'"):
+    with pytest.raises(TactileHandError, match=f"AMENT_PREFIX_PATH='{prefix or ''}'"):
         executable_path("plant")
 
 
 def test_an_executable_that_is_not_there_is_named():
-    with pytest.raises(ExecutableError, match="no executable .*lib/tactile_hand_ros/no_such_node;"):
+    with pytest.raises(TactileHandError, match="no executable .*tactile_hand_ros/no_such_node;"):
         executable_path("no_such_node")
 
 

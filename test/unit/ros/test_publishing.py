@@ -39,8 +39,8 @@ def test_a_message_is_encoded_once_for_all_taps_and_subscribers(here):
     publisher.publish(1.0)
     publisher.repeat()
     assert publisher.encoded == []
-    publisher.add_tap(tapped.append)
-    publisher.add_tap(tapped.append)
+    publisher.taps.append(tapped.append)
+    publisher.taps.append(tapped.append)
     publisher.publish(2.0)
     assert publisher.encoded == [2.0]
     assert tapped == 2 * [serialize_message(Float64(data=2.0))]
