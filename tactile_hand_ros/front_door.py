@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
@@ -17,7 +17,6 @@ def simulate(
     changes: Mapping[str, Any] | None = None,
     *,
     law: Any = None,
-    progress: Callable[[int], None] | None = None,
 ) -> Result:
     """Run a scenario in-process, without ROS.
 
@@ -25,7 +24,6 @@ def simulate(
         scenario: Name of a scenario, or path of a YAML file.
         changes: New values by dotted key, such as ``{"plant.object.mass": 0.2}``.
         law: The control law: a class such as your own subclass of `OptimalLaw`, or a name.
-        progress: Called with the number of finished ticks, a hundred times per run.
 
     Returns:
         The run, with the same interface as `Run`: ``record``, ``metrics``, ``events``,
@@ -48,4 +46,4 @@ def simulate(
         known = controller.law.model_copy(update={"name": known_law(law), "folder": ""})
         controller = controller.model_copy(update={"law": known})
         chosen = chosen.model_copy(update={"manipulation_controller": controller})
-    return Result(ClosedLoop(chosen).run(progress=progress), chosen)
+    return Result(ClosedLoop(chosen).run(), chosen)

@@ -38,12 +38,11 @@ class RecordedMessage(NamedTuple):
 
 @dataclass(frozen=True)
 class BagSummary:
-    """Contents of a bag; times in ns since the epoch, None without messages."""
+    """Contents of a bag; its start in ns since the epoch, None without messages."""
 
     counts: dict[str, int]
     types: dict[str, str]
     start_time: int | None
-    end_time: int | None
     custom_data: dict[str, str]
 
     @property
@@ -96,13 +95,11 @@ def summarize(path: Path | str) -> BagSummary:
         counts: dict[str, int] = {}
         for connection in reader.connections:
             counts[connection.topic] = counts.get(connection.topic, 0) + int(connection.msgcount)
-        some = bool(reader.message_count)
         custom = dict(_custom_data(reader, Path(path)))
         return BagSummary(
             counts=counts,
             types={each.topic: str(each.msgtype) for each in reader.connections},
-            start_time=int(reader.start_time) if some else None,
-            end_time=int(reader.end_time) - 1 if some else None,  # rosbags adds 1 ns
+            start_time=int(reader.start_time) if reader.message_count else None,
             custom_data={str(key): str(text) for key, text in custom.items()},
         )
 

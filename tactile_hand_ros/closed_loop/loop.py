@@ -136,13 +136,10 @@ class ClosedLoop:
         """The manipulation controller."""
         return self.chain.controller
 
-    def run(
-        self, ticks: int | None = None, progress: Callable[[int], None] | None = None
-    ) -> Record:
+    def run(self, ticks: int | None = None) -> Record:
         """Run to the end of the scenario, or for a number of ticks, and return the record.
 
-        If the simulation diverges, it ends early, with the object dropped. `progress` is called
-        with the number of finished ticks, a hundred times per run.
+        If the simulation diverges, it ends early, with the object dropped.
         """
         ticks = self.scenario.ticks if ticks is None else ticks
         hand = self.plant.hand
@@ -152,8 +149,6 @@ class ClosedLoop:
                 self.tick(record, row)
             except DivergedError:
                 return record.part(slice(row + 1))
-            if progress is not None and (row + 1) % max(1, ticks // 100) == 0:
-                progress(row + 1)
         return record
 
     def tick(self, record: Record, row: int) -> None:

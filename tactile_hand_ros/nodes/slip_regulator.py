@@ -16,7 +16,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from geometry_msgs.msg import WrenchStamped
@@ -57,17 +57,12 @@ _UNHOLDABLE = (
 )
 
 
-class GripState(NamedTuple):
-    """The regulator's estimates for each contact, arrays of shape (k,)."""
+Grips = tuple[Array, Array, NDArray[np.int_]]
 
-    friction: Array
-    evidence: Array
-    grip: NDArray[np.int_]
 
-    @classmethod
-    def of(cls, regulator: SlipRegulator) -> GripState:
-        """Return the present estimates of a regulator."""
-        return cls(regulator.learned_friction, regulator.slip_likelihood, regulator.state)
+def grips_of(regulator: SlipRegulator) -> Grips:
+    """Return learned friction, evidence of slip and `ContactState` of each contact, shape (k,)."""
+    return regulator.learned_friction, regulator.slip_likelihood, regulator.state
 
 
 class RegulatorReport:
@@ -92,10 +87,11 @@ class RegulatorReport:
         stamp: int,
         contacts: Contacts,
         forces: Array,
-        state: GripState,
+        grips: Grips,
     ) -> None:
         """Record a tick: measurements in contact frames and the regulator's estimates."""
-        self._watch.note(stamp, contacts, forces, state.friction, state.grip, state.evidence)
+        friction, evidence, state = grips
+        self._watch.note(stamp, contacts, forces, friction, state, evidence)
         is_automatic = regulator.config.mode != "user"
         # k_f may be at the limit because of a past slip; that is no reason to warn.
         self._limited.note(is_automatic and regulator.config.maximum < regulator.needed < math.inf)
@@ -109,7 +105,7 @@ class RegulatorReport:
         put("mode", regulator.config.mode)
         put("grasp_force_n", regulator.grasp_force)
         put("needed_force_n", regulator.needed)
-        facts = zip(self._fingers, *GripState.of(regulator), strict=True)
+        facts = zip(self._fingers, *grips_of(regulator), strict=True)
         for name, friction, evidence, grip in facts:
             put(f"friction {name}", float(friction))
             put(f"grip {name}", ContactState(grip).name.lower())
@@ -209,7 +205,7 @@ class SlipRegulatorNode(TactileNode[SlipRegulatorConfig]):
         touch, regulator = example_touch(fingers), self._regulator
         for stamp in (0, 1):  # the second knows the load
             regulator.step(stamp, *touch)
-        self._report.note(regulator, 0, *touch, GripState.of(regulator))
+        self._report.note(regulator, 0, *touch, grips_of(regulator))
         self.on_restart()
 
     def on_config(self, config: SlipRegulatorConfig) -> None:
@@ -274,15 +270,15 @@ class SlipRegulatorNode(TactileNode[SlipRegulatorConfig]):
                     f"k_f = {grasp_force} N is outside 0 to {maximum} N and was not published; "
                     "call ~/reset"
                 )
-            state = GripState.of(regulator)
-            self._grip_publisher.publish(stamp, *state)
+            grips = grips_of(regulator)
+            self._grip_publisher.publish(stamp, *grips)
             load, friction, reserve = regulator.carried
             self._margin_publisher.publish(stamp, friction, reserve)
             self._load_publishers.publish(stamp, load)
             self._publisher.publish((0.0, grasp_force, 0.0), stamp)
             self._changes.take_effect(stamp)
-            self._report.note(regulator, stamp, contacts, forces, state)
-            self._publish_haptics(stamp, grasp_force / maximum, float(state.evidence.max()))
+            self._report.note(regulator, stamp, contacts, forces, grips)
+            self._publish_haptics(stamp, grasp_force / maximum, float(grips[1].max()))
         return grasp_force
 
     on_tick = step

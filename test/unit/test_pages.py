@@ -41,7 +41,7 @@ def _each_run_is_made_once() -> Iterator[None]:
     """Execute each run once: pages share runs, which repeat to the bit."""
     run, made = ClosedLoop.run, dict[str, Record]()
 
-    def once(loop: ClosedLoop, progress: object = None) -> Record:
+    def once(loop: ClosedLoop) -> Record:
         key = loop.scenario.model_dump_json()
         return made[key] if key in made else made.setdefault(key, run(loop))
 

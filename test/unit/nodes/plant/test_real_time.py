@@ -25,20 +25,6 @@ def test_early_and_late_calls(late, due):
     assert made.skipped == max(0, due - 1)
 
 
-def test_time_that_cannot_be_made_up_for_is_given_up_once_and_for_all():
-    made, hands = pace()
-    hands.now = 1001 * TICK
-    assert made.due() == 1
-    for _ in range(3):
-        hands.now += TICK
-        assert made.due() == 1
-    assert made.lost_ns == 1000 * TICK
-    assert made.skipped == 0  # skipped ticks do not include those given up
-    hands.now += 2001 * TICK
-    assert made.due() == 1
-    assert (made.lost_ns, made.skipped) == (3000 * TICK, 0)
-
-
 @pytest.mark.parametrize(("late", "due", "lost"), [(0, 201, 0), (1, 1, 200 * TICK + 1)])
 def test_time_up_to_a_fifth_of_a_second_is_made_up_for(late, due, lost):
     made, hands = pace()
