@@ -47,7 +47,7 @@ from tactile_hand_ros.simulation.skin import TactileSensorConfig
 _STATUS_PERIOD = 0.25  # s between two looks at ages and health
 _SILENT = 2.5  # s without diagnostics, which come every second
 _EVENTS = 200  # kept
-_SHOWN = ("rate_hz", "latency_p99_us", "late_commands", "mode", "rejected")
+_SHOWN = ("rate_hz", "latency_p99_us", "late_commands", "mode")
 _STALE = 3
 
 
@@ -184,8 +184,7 @@ class CockpitNode(TactileNode[CockpitConfig]):
     def _begin(self, data: bytes) -> None:
         """Start a picture with the joints of a message."""
         joints = ContentReader("sensor_msgs/msg/JointState")(data).texts[1:]
-        tips = {tip.tip: (tip.name, tip.radius) for tip in self._hand.fingers}
-        self._tree = model.hand_tree(self._description, joints, tips)
+        self._tree = model.hand_tree(self._description, joints, self._hand)
         self._watch = Watch()
         self._events.clear()
         self._on_status()  # before the picture, which would else come with old events

@@ -4,16 +4,16 @@
 from __future__ import annotations
 
 import xml.etree.ElementTree as ElementTree
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 from xml.etree.ElementTree import Element
 
 import pinocchio as pin
 
-from tactile_hand_ros.config.hand_config import load_hand_config
+from tactile_hand_ros.config.hand_config import FingerConfig, HandConfig, load_hand_config
 from tactile_hand_ros.errors import HandModelError, TactileHandError
 from tactile_hand_ros.hand.hand import Hand
-from tactile_hand_ros.hand.tip_fit import three_numbers
+from tactile_hand_ros.hand.tip_fit import fitted_tips, three_numbers
 from tactile_hand_ros.report import style
 from tactile_hand_ros.rotations import quaternion_from_rotation
 from tactile_hand_ros.run.result import RunData
@@ -27,21 +27,20 @@ def hand(run: RunData) -> tuple[dict[str, Any] | None, str]:
         if not text and run.scenario is not None:
             text = Hand.load(run.scenario.hand, run.scenario.layout).description
         if text:
-            return hand_tree(text, run.record.joint_names, _tips(run)), ""
+            return hand_tree(text, run.record.joint_names, _config(run)), ""
     except TactileHandError as error:
         return None, f"The hand cannot be drawn: {error}."
     return None, "The bag has neither the hand's URDF nor its scenario; links are not drawn."
 
 
-def _tips(run: RunData) -> dict[str, tuple[str, float]]:
-    """Return finger and radius by tip link; empty if the hand's file is missing."""
+def _config(run: RunData) -> HandConfig | None:
+    """Return the hand's configuration, or None if its file is missing."""
     if run.scenario is None:
-        return {}
+        return None
     try:
-        config = load_hand_config(run.scenario.hand)
+        return load_hand_config(run.scenario.hand)
     except TactileHandError:  # it is on the machine of the run
-        return {}
-    return {finger.tip: (finger.name, finger.radius) for finger in config.fingers}
+        return None
 
 
 def solid(run: RunData) -> tuple[dict[str, Any] | None, str]:
@@ -101,18 +100,19 @@ _MOVING = {"revolute": "turn", "continuous": "turn", "prismatic": "slide"}
 
 
 def hand_tree(
-    description: str, joint_names: Sequence[str], tips: Mapping[str, tuple[str, float]]
+    description: str, joint_names: Sequence[str], config: HandConfig | None
 ) -> dict[str, Any]:
     """Return the hand of a URDF as plain data.
 
-    `joint_names` are in the order of the record; `tips` are finger and radius in m by tip link, of
-    which those that the URDF lacks are skipped.
+    `joint_names` are in the order of the record. Without `config` there are no fingertips; those
+    that the URDF lacks are skipped.
 
     Returns:
         ``links``, parents first, each with ``parent`` (index, -1 for the root), ``xyz`` in m and
         ``quaternion`` (x, y, z, w) in the parent, and for moving joints ``motion`` (turn or slide),
-        ``axis`` and ``joint`` (column of the record, -1 if unknown); ``tips`` with ``link``
-        (index), ``finger`` (name) and ``radius``.
+        ``axis`` and ``joint`` (column of the record, -1 if unknown), and ``ratio`` and ``offset``
+        in rad or m if they follow it; ``tips`` with ``link`` (index), ``finger`` (name), ``radius``
+        in m, and ``center`` in m and ``axis`` in the link.
 
     Raises:
         HandModelError: If the text is not a URDF.
@@ -124,11 +124,24 @@ def hand_tree(
         raise HandModelError(f"robot_description is not a valid URDF ({error})") from error
     index = {link["name"]: i for i, link in enumerate(links)}
     ends = [
-        {"link": index[name], "finger": finger, "radius": radius}
-        for name, (finger, radius) in tips.items()
-        if name in index
+        {"link": index[tip.tip], "finger": tip.name, **tip.model_dump(include=_TIP)}
+        for tip in _tips(config, description)
+        if tip.tip in index
     ]
     return {"links": links, "tips": ends}
+
+
+_TIP = {"radius", "center", "axis"}
+
+
+def _tips(config: HandConfig | None, description: str) -> list[FingerConfig]:
+    """Return the fingers with their tips as in `Hand`, or unfitted if their meshes are missing."""
+    if config is None:
+        return []
+    try:
+        return fitted_tips(config, description)[0]
+    except HandModelError:  # they are on the machine of the run
+        return config.fingers
 
 
 def _links(root: Element, joint_names: list[str]) -> list[dict[str, Any]]:
@@ -160,5 +173,9 @@ def _moved_link(joint: Element, joint_names: list[str]) -> dict[str, Any]:
     if motion := _MOVING.get(str(joint.get("type"))):
         link["motion"] = motion
         link["axis"] = three_numbers(joint.find("axis"), "xyz", "1 0 0").tolist()
+        if name not in joint_names and (mimic := joint.find("mimic")) is not None:
+            name = str(mimic.get("joint"))
+            link["ratio"] = float(mimic.get("multiplier", 1.0))
+            link["offset"] = float(mimic.get("offset", 0.0))
         link["joint"] = joint_names.index(name) if name in joint_names else -1
     return link

@@ -17,6 +17,7 @@ from support.recorded import random_record, write_record
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
 from tactile_hand_ros.closed_loop.record import Record
 from tactile_hand_ros.control.slip.detector import ContactState
+from tactile_hand_ros.front_door import simulate
 from tactile_hand_ros.hand.hand import Hand
 from tactile_hand_ros.report.page import write_report
 from tactile_hand_ros.run.run import Run
@@ -141,6 +142,19 @@ def test_seeking_moves_cursors_and_the_hand(report: Page, run: Run) -> None:
         assert report.js(place) == pytest.approx(time / 0.5 * width, abs=2.0)
         pictures.add(report.js(PICTURE))
     assert len(pictures) == 4
+
+
+def test_the_fingertips_of_coupled_fingers_are_drawn_where_they_touch(page, tmp_path) -> None:
+    """In `ability` a joint follows another, and tips lie beside the origins of their links."""
+    run = simulate("ability", {"duration": 0.02, "targets": []})
+    page.open(run.report(tmp_path))
+    page.js("report.player.seek(arguments[0])", float(run.record.times[-1]))
+    drawn = "return report.scene.hand.tips.map(({node}) => node.matrixWorld.elements)"
+    hand, theta = Hand.load("ability"), run.record.theta[-1]
+    places = np.array(page.js(drawn)).reshape(-1, 4, 4)
+    np.testing.assert_allclose(places[:, 3, :3], hand.fingertips(theta).positions, atol=1e-6)
+    tops = hand.tip_rotations(theta)[:, :, 0]
+    np.testing.assert_allclose(places[:, 0, :3], tops, atol=1e-6)
 
 
 def test_a_click_in_a_plot_and_in_the_ledger_seeks(report: Page) -> None:

@@ -42,8 +42,14 @@ export class HandModel {
     const material = new THREE.MeshPhongMaterial({ specular: "#3a3a3a", shininess: 40 });
     const r = tip.radius;
     const shape = new THREE.LatheGeometry(profile(r, BONE * this.radius), 30).rotateZ(-Math.PI / 2);
-    const node = this.nodes[tip.link].object;
+    const node = new THREE.Object3D(); // at the center of the hemisphere, x toward its top
+    const center = new THREE.Vector3(...tip.center);
+    node.position.copy(center);
+    node.quaternion.setFromUnitVectors(new THREE.Vector3(1, 0, 0), new THREE.Vector3(...tip.axis).normalize());
     node.add(new THREE.Mesh(shape, material));
+    const link = this.nodes[tip.link].object;
+    link.add(node);
+    if (center.length() > r) link.add(capsule(center, BONE * this.radius, this.materials.bone));
     return { finger, material, node, radius: r, color: fingers[finger]?.color ?? "#888888" };
   }
 
@@ -55,7 +61,7 @@ export class HandModel {
 
   /** Take a posture: joint values in the order of the record. */
   pose(theta) {
-    for (const node of this.nodes) node.move(node.joint >= 0 ? theta[node.joint] : 0);
+    for (const { move, joint, ratio, offset } of this.nodes) move(joint >= 0 ? ratio * theta[joint] + offset : 0);
     this.group.updateMatrixWorld(true);
   }
 
@@ -111,7 +117,7 @@ function makeNode(link) {
   };
   const act = moves[link.motion];
   const move = (value) => act && Number.isFinite(value) && act(value);
-  return { object, joint: link.joint ?? -1, move };
+  return { object, joint: link.joint ?? -1, ratio: link.ratio ?? 1, offset: link.offset ?? 0, move };
 }
 
 function capsule(offset, radius, material) {
