@@ -8,12 +8,12 @@ import functools
 
 import numpy as np
 import pytest
-from support.outcomes import run_scenario, run_with_failing_skin, with_failing_skin
+from support.outcomes import run_scenario, with_failing_skin
 
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
 from tactile_hand_ros.scenario.scenario import load_scenario
 
-CASES = {
+CASES = {  # scenario, finger, fault, its start and the end of the run, s
     "pulled, off": ("human_pull", 2, "off", 1.0, 3.0),
     "pulled, stuck": ("human_pull", 0, "stuck", 1.0, 3.0),
     "pulled, wrong": ("human_pull", 1, "wrong", 1.0, 3.0),
@@ -31,7 +31,9 @@ OLD = {
 
 @functools.cache
 def record_of(name):
-    return run_with_failing_skin(*CASES[name])
+    scenario, finger, fault, begins, ends = CASES[name]
+    loop = ClosedLoop(load_scenario(scenario, {"duration": ends}))
+    return with_failing_skin(loop, finger, fault, round(loop.scenario.ticks * begins / ends))
 
 
 @pytest.mark.parametrize("name", CASES)

@@ -16,6 +16,14 @@ from tactile_hand_ros.names import PALM_FRAME
 from tactile_hand_ros.rotations import quaternion_from_rotation
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
+STRING = "std_msgs/msg/String"
+STRING_HASH = STORE.hash_rihs01(STRING)
+
+
+def payload(text: str) -> bytes:
+    """Return the bytes of a String."""
+    data = text.encode() + b"\0"
+    return b"\0\1\0\0" + len(data).to_bytes(4, "little") + data
 
 
 def header(stamp_ns: int, frame: str = PALM_FRAME) -> Header:

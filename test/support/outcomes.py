@@ -19,12 +19,6 @@ def run_scenario(name: str, changes: dict) -> Record:
     return ClosedLoop(load_scenario(name, changes)).run()
 
 
-def run_with_failing_skin(name: str, finger: int, fault: str, begins: float, ends: float) -> Record:
-    """Return the record of a scenario until `ends`; the skin of a finger fails at `begins`, s."""
-    loop = ClosedLoop(load_scenario(name, {"duration": ends}))
-    return with_failing_skin(loop, finger, fault, round(loop.scenario.ticks * begins / ends))
-
-
 def with_failing_skin(loop: ClosedLoop, finger: int, fault: str, first: int) -> Record:
     """Run a loop to its end and return the record; the skin of a finger fails at a tick."""
     skin, faults = loop.chain.sensor, ["none"] * loop.plant.hand.fingers

@@ -19,7 +19,7 @@ from mcap.stream_reader import StreamReader, breakup_chunk
 from mcap.writer import Writer
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rosbags.highlevel import AnyReader
-from rosbags.typesys import Stores, get_typestore
+from support.messages import STRING, STRING_HASH, payload
 
 from tactile_hand_ros.bag.metadata import BagMetadata, dump, offered_qos
 from tactile_hand_ros.bag.reader import find_bag, read_messages, summarize
@@ -28,16 +28,13 @@ from tactile_hand_ros.bag.schema import message_definition
 from tactile_hand_ros.bag.writer import BagWriter
 from tactile_hand_ros.errors import BagError
 
-STRING = "std_msgs/msg/String"
-HASH = get_typestore(Stores.ROS2_JAZZY).hash_rihs01(STRING)
 LATCHED = offered_qos(QoSProfile(depth=3, durability=DurabilityPolicy.TRANSIENT_LOCAL))
 COUNT = 400
 
 
-def payload(number: int) -> bytes:
-    """Return the CDR of a String that compresses poorly."""
-    data = f"{number} {hash((number, 'x')) ** 5}".encode() + b"\0"
-    return b"\0\1\0\0" + len(data).to_bytes(4, "little") + data
+def numbered(number: int) -> bytes:
+    """Return the bytes of a String that compresses poorly."""
+    return payload(f"{number} {hash((number, 'x')) ** 5}")
 
 
 def write_bag(folder: Path, compression: str = "zstd", count: int = COUNT) -> None:
@@ -45,14 +42,14 @@ def write_bag(folder: Path, compression: str = "zstd", count: int = COUNT) -> No
     custom = {"scenario": "name: x\n"}
     with BagWriter(folder, compression, chunk_size=2000, custom_data=custom) as writer:
         channels = [
-            writer.add_channel(name, STRING, offers=[LATCHED], type_hash=HASH)
+            writer.add_channel(name, STRING, offers=[LATCHED], type_hash=STRING_HASH)
             for name in ("/a", "/b")
         ]
         for i in range(count):
-            writer.write(channels[i % 2], payload(i), 1000 + i, 900 + i)
+            writer.write(channels[i % 2], numbered(i), 1000 + i, 900 + i)
 
 
-SENT = [payload(i) for i in range(COUNT)]
+SENT = [numbered(i) for i in range(COUNT)]
 
 
 @pytest.fixture(scope="module", params=["none", "lz4", "zstd"])
@@ -153,7 +150,7 @@ def test_topic_and_times_are_kept(tmp_path):
     write_bag(tmp_path / "run", count=3)
     target, metadata, left = recover(tmp_path / "run")
     topic = metadata.topics[0]
-    assert (topic.name, topic.type, topic.type_hash) == ("/a", STRING, HASH)
+    assert (topic.name, topic.type, topic.type_hash) == ("/a", STRING, STRING_HASH)
     assert topic.offers == (LATCHED,) and topic.message_count == 2
     assert (metadata.start, metadata.duration) == (1000, 2)
     assert (target, metadata.message_count, left) == (tmp_path / "run_recovered", 3, 0)
@@ -175,7 +172,7 @@ def foreign_file(file: Path, offers: str = "", schema: int = 1, time: int = 5) -
         writer.add_metadata("origin", {"a": "b"})
         writer.register_schema(STRING, "ros2msg", message_definition(STRING).text.encode())
         channel = writer.register_channel("/a", "cdr", schema, {"offered_qos_profiles": offers})
-        writer.add_message(channel, time, payload(1), 4)
+        writer.add_message(channel, time, numbered(1), 4)
         writer.finish()
     return file
 
@@ -245,14 +242,14 @@ def test_the_bag_of_a_run_is_found_in_its_folder(tmp_path, monkeypatch):
 
 def test_the_last_seconds_are_those_received_last_and_all_of_a_latched_topic(tmp_path):
     with BagWriter(tmp_path / "run", chunk_size=2000) as writer:
-        latched = writer.add_channel("/latched", STRING, offers=[LATCHED], type_hash=HASH)
-        ticks = writer.add_channel("/ticks", STRING, type_hash=HASH)
-        writer.write(latched, payload(0), 10**9, 10**9)
+        latched = writer.add_channel("/latched", STRING, offers=[LATCHED], type_hash=STRING_HASH)
+        ticks = writer.add_channel("/ticks", STRING, type_hash=STRING_HASH)
+        writer.write(latched, numbered(0), 10**9, 10**9)
         for i in range(101):
-            writer.write(ticks, payload(i), 10**9 + 10**8 * i, 0)
+            writer.write(ticks, numbered(i), 10**9 + 10**8 * i, 0)
     for out, last in (("endless", float("inf")), ("huge", 1e300)):
         assert recover(tmp_path / "run", tmp_path / out, last=last).metadata.message_count == 102
-    expected = [("/latched", payload(0)), *(("/ticks", payload(i)) for i in range(80, 101))]
+    expected = [("/latched", numbered(0)), *(("/ticks", numbered(i)) for i in range(80, 101))]
     file = tmp_path / "run" / "run_0.mcap"
     for out in ("whole", "damaged"):
         kept = recover(tmp_path / "run", tmp_path / out, last=2.0).target

@@ -4,7 +4,6 @@
 from pathlib import Path
 
 import pytest
-from ament_index_python.packages import get_package_share_directory
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from tactile_hand_ros.bag.schema import message_definition
@@ -18,17 +17,6 @@ geometry_msgs/msg/TwistWithCovarianceStamped sensor_msgs/msg/JointState sensor_m
 sensor_msgs/msg/JoyFeedbackArray sensor_msgs/msg/MultiDOFJointState
 trajectory_msgs/msg/JointTrajectory visualization_msgs/msg/MarkerArray
 """.split()
-
-
-def test_text_is_the_files_with_separators():
-    names = "geometry_msgs/Wrench geometry_msgs/Vector3 std_msgs/Header builtin_interfaces/Time"
-    texts = []
-    for name in ("geometry_msgs/WrenchStamped", *names.split()):
-        package, kind = name.split("/")
-        file = Path(get_package_share_directory(package)) / "msg" / f"{kind}.msg"
-        texts.append(f"\n{LINE}MSG: {name}\n{file.read_text()}" if texts else file.read_text())
-    definition = message_definition("geometry_msgs/msg/WrenchStamped")
-    assert (definition.encoding, definition.text) == ("ros2msg", "".join(texts))
 
 
 @pytest.mark.parametrize("type_name", TYPES)

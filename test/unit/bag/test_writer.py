@@ -9,7 +9,7 @@ from mcap.reader import make_reader
 from mcap_ros2.reader import read_ros2_messages
 from rclpy.qos import QoSProfile
 from rosbags.rosbag2 import Reader
-from rosbags.typesys import Stores, get_typestore
+from support.messages import STRING, STRING_HASH, payload
 
 from tactile_hand_ros.bag.metadata import dump, offered_qos
 from tactile_hand_ros.bag.reader import read_messages, read_topics, summarize
@@ -18,15 +18,7 @@ from tactile_hand_ros.bag.schema import message_definition
 from tactile_hand_ros.bag.writer import BagWriter
 from tactile_hand_ros.errors import BagError
 
-STRING = "std_msgs/msg/String"
 OFFER = offered_qos(QoSProfile(depth=1))
-STRING_HASH = get_typestore(Stores.ROS2_JAZZY).hash_rihs01(STRING)
-
-
-def payload(text: str) -> bytes:
-    """Return the CDR of a String."""
-    data = text.encode() + b"\0"
-    return b"\0\1\0\0" + len(data).to_bytes(4, "little") + data
 
 
 def add_string(writer: BagWriter, topic: str = "/chatter") -> int:

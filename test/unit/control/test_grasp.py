@@ -22,7 +22,6 @@ from tactile_hand_ros.control.grasp import (
     wrench_forces,
 )
 from tactile_hand_ros.errors import CollinearContactsError, GraspError
-from tactile_hand_ros.hand.hand import Hand
 from tactile_hand_ros.rotations import rotation_from_vector
 
 LINE = np.array([[0.0, 0.0, 0.1], [0.1, 0.1, 0.1], [0.3, 0.3, 0.1]])
@@ -59,21 +58,6 @@ def test_contacts_on_a_line_are_an_error_that_says_so():
         with pytest.raises(CollinearContactsError, match=r"\(0.1000, 0.1000.*one line \(A7\)"):
             check(LINE)
     assert collinearity_margin(np.ones((3, 3))) == 0.0
-
-
-def test_joint_margin_of_the_paper_and_of_a_stretched_finger():
-    hand, theta = Hand.load("paper"), np.tile([1.047, 0.0, 1.571], 3)
-
-    def jacobian():
-        tips = hand.fingertips(theta)
-        return equations.hand_jacobian(*tips, tips.positions)
-
-    margin = joint_margin(jacobian())
-    assert margin == pytest.approx(np.linalg.svd(jacobian(), compute_uv=False)[-1])
-    assert margin == joint_margin(jacobian().reshape(3, 3, 9))
-    theta[5] = 0.0
-    with pytest.raises(GraspError, match=r"singular \(A5\).*9 x 9"):
-        check_joints(jacobian())
 
 
 def test_only_directions_that_a_finger_can_move_in_count_for_the_margin():
@@ -125,7 +109,7 @@ def test_joints_that_move_a_contact_by_a_millimetre_per_radian_are_the_limit():
     jacobian = np.kron(np.diag([1.0, 1.01e-3, 2.0]), rotation_from_vector([0.3, -0.9, 0.5]))
     assert joint_margin(jacobian) == pytest.approx(1.01e-3)
     check_joints(jacobian)
-    with pytest.raises(GraspError, match="9 x 9.*at least 0.001"):
+    with pytest.raises(GraspError, match=r"singular \(A5\).*9 x 9.*at least 0.001"):
         check_joints(0.98 * jacobian)
     with pytest.raises(GraspError, match="at least 0.002"):
         check_joints(jacobian, 2e-3)

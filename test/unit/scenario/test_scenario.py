@@ -129,15 +129,6 @@ def test_a_mistake_is_refused_with_its_place(tmp_path, text, message):
         load(tmp_path, text)
 
 
-def test_an_extension_replaces_keys_and_keeps_the_rest(tmp_path):
-    text = "extends: pinch\nplant: {object: {mass: 0.5}}\nforce_optimizer: {weights: [1, 2, 3]}"
-    scenario = load(tmp_path, text)
-    assert scenario.plant.object.mass == 0.5
-    assert scenario.plant.object.size == (0.2604,) * 3 and scenario.layout == "pinch"
-    assert scenario.force_optimizer.weights == [1.0, 2.0, 3.0]
-    assert scenario.name == "mine"
-
-
 def test_an_extension_looks_beside_itself_first(tmp_path):
     (tmp_path / "base.yaml").write_text("extends: paper\nduration: 3.0\nname: base\n")
     (tmp_path / "sub").mkdir()

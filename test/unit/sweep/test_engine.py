@@ -81,6 +81,8 @@ def test_a_folder_holds_one_study(tmp_path):
     kept(tmp_path, runs=4)
     with pytest.raises(StudyError, match="another study: runs is 4 there and 5 here"):
         kept(tmp_path, runs=5)
+    with pytest.raises(StudyError, match="another study: seed is 5 there and 6 here"):
+        keep(Study(SPACE, trials.product, 4, 6), tmp_path)
     for damaged in ("{", "[1]", ""):
         (tmp_path / table.DESCRIPTION).write_text(damaged)
         with pytest.raises(StudyError, match="another study"):

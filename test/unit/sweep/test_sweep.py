@@ -2,7 +2,6 @@
 """Sweeps: from the command line to the table, and from a row back to its run."""
 
 import csv
-import json
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +11,7 @@ from tactile_hand_ros.cli import main
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
 from tactile_hand_ros.errors import ConfigurationError
 from tactile_hand_ros.run.metrics import metrics
-from tactile_hand_ros.scenario.scenario import load_scenario, plain
+from tactile_hand_ros.scenario.scenario import load_scenario
 from tactile_hand_ros.sweep.sweep import friction_margin, make_sweep, outcome
 
 MASS, FRICTION = "plant.object.mass=0.001..0.1:log", "plant.object.friction=0.2..1"
@@ -82,12 +81,6 @@ def test_paths_lead_into_lists_and_whole_numbers_stay_whole():
     assert scenario.seed == points[0].values["seed"] == scenario.tactile_sensor.seed
     with pytest.raises(ConfigurationError, match="'gravity' has no '3' in it"):
         make_sweep("gravity", ["gravity.3=0..1"], {})
-
-
-def test_plain_data_is_the_scenario():
-    for name in ("gravity", "slippery", "pinch"):
-        scenario = load_scenario(name, {"calibration.link_lengths": 1.02})
-        assert type(scenario).model_validate(json.loads(json.dumps(plain(scenario)))) == scenario
 
 
 def test_the_margin_is_what_the_true_friction_leaves():
