@@ -182,9 +182,6 @@ def os_sentence(error: OSError) -> str:
     return f"{where}: {reason}."
 
 
-_OF_ROS = re.compile("rclpy|ament_index_python")
-
-
 def _explained(error: BaseException) -> tuple[str, int | None]:
     """Return sentence and exit code of an error; no code for a bug."""
     if number := _signal_behind(error):
@@ -198,7 +195,7 @@ def _explained(error: BaseException) -> tuple[str, int | None]:
         return str(error), EXIT_REFUSED
     if isinstance(error, OSError):
         return os_sentence(error), EXIT_REFUSED
-    if isinstance(error, ImportError) and _OF_ROS.search(f"{error.name} {error.path}"):
+    if isinstance(error, ImportError) and re.search("rclpy|ament", f"{error.name} {error.path}"):
         return (
             f"ROS 2 cannot be loaded by Python {sys.version_info.major}.{sys.version_info.minor} "
             f"({str(error).splitlines()[0]}); install its wheels, or start a new shell if this one "

@@ -135,13 +135,13 @@ _TIP = {"radius", "center", "axis"}
 
 
 def _tips(config: HandConfig | None, description: str) -> list[FingerConfig]:
-    """Return the fingers with their tips as in `Hand`, or unfitted if their meshes are missing."""
+    """Return the fingers with tips as in `Hand`; only those with a radius if meshes are missing."""
     if config is None:
         return []
     try:
         return fitted_tips(config, description)[0]
-    except HandModelError:  # they are on the machine of the run
-        return config.fingers
+    except TactileHandError:  # they are on the machine of the run
+        return [finger for finger in config.fingers if finger.radius > 0.0]
 
 
 def _links(root: Element, joint_names: list[str]) -> list[dict[str, Any]]:

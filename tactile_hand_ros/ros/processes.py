@@ -46,9 +46,7 @@ def executable_path(name: str) -> Path:
     """
     path = executable_directory() / name
     if not (path.is_file() and os.access(path, os.X_OK)):
-        raise TactileHandError(
-            f"There is no executable {path}; build and install the package anew."
-        )
+        raise TactileHandError(f"There is no executable {path}; build and install the package.")
     return path
 
 

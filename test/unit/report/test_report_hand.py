@@ -55,7 +55,7 @@ def test_tips_are_where_the_physics_has_them(name: str, layout: str) -> None:
     assert [tip["radius"] for tip in tree["tips"]] == hand.radii.tolist()
 
 
-def test_a_tip_without_a_radius_has_that_of_its_sphere_if_it_is_known() -> None:
+def test_a_tip_without_a_radius_has_that_of_its_sphere_or_is_left_out() -> None:
     config = load_hand_config("paper")
     tips = ({"tip": "jaw", "radius": 0.0}, {"tip": "elsewhere"})
     made = zip(config.fingers, tips, strict=False)
@@ -65,9 +65,9 @@ def test_a_tip_without_a_radius_has_that_of_its_sphere_if_it_is_known() -> None:
         '<collision><origin xyz="0 0 0.3"/><geometry><sphere radius="0.02"/></geometry></collision>'
     )
     described = SLIDER.replace('<link name="jaw"/>', f'<link name="jaw">{ball}</link>')
-    [known], [unknown] = (hand_tree(text, [], config)["tips"] for text in (described, SLIDER))
-    assert (known["radius"], known["center"]) == (0.02, (0.0, 0.0, 0.3))
-    assert (unknown["radius"], unknown["finger"]) == (0.0, "finger_1")
+    [tip] = hand_tree(described, [], config)["tips"]
+    assert (tip["finger"], tip["radius"], tip["center"]) == ("finger_1", 0.02, (0.0, 0.0, 0.3))
+    assert hand_tree(SLIDER, [], config)["tips"] == []
 
 
 @pytest.mark.parametrize("old", ["</robot>", " 1", '<child link="jaw"/>', '<parent link="palm"/>'])
