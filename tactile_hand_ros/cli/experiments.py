@@ -12,6 +12,7 @@ from tactile_hand_ros.cli.output import (
     JobsOption,
     SeedOption,
     check_writable,
+    console,
     print_files,
     print_table,
     progress,
@@ -130,7 +131,7 @@ def reproduce(
     files = [file for result in results for file in r.draw(result, out)]
     files.append(r.write(results, out))
     for result in results:
-        print_table(f"layout {result.layout}", r.CLAIM_COLUMNS, result.claims)
+        console().print(r.claim_table(result))
     print_files(files, out)
 
 

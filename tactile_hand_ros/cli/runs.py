@@ -131,7 +131,7 @@ def _publish(
         def watch() -> None:
             done, messages = player.position, counted(player.messages, "message")
             text = f"{done:.1f} of {player.duration:.1f} s, {messages}"
-            update(completed=done, description=text)
+            update(completed=done, description=f"replay: {text}")
 
         for topic, reason in player.skipped.items():
             print(f"{topic} is not published: {reason}", file=sys.stderr)

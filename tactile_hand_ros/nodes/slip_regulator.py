@@ -16,7 +16,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from geometry_msgs.msg import WrenchStamped
@@ -57,12 +57,17 @@ _UNHOLDABLE = (
 )
 
 
-Grips = tuple[Array, Array, NDArray[np.int_]]
+class GripState(NamedTuple):
+    """The regulator's estimates for each contact, arrays of shape (k,)."""
 
+    friction: Array
+    evidence: Array
+    grip: NDArray[np.int_]
 
-def grips_of(regulator: SlipRegulator) -> Grips:
-    """Return learned friction, evidence of slip and `ContactState` of each contact, shape (k,)."""
-    return regulator.learned_friction, regulator.slip_likelihood, regulator.state
+    @classmethod
+    def of(cls, regulator: SlipRegulator) -> GripState:
+        """Return the present estimates of a regulator."""
+        return cls(regulator.learned_friction, regulator.slip_likelihood, regulator.state)
 
 
 class RegulatorReport:
@@ -87,11 +92,10 @@ class RegulatorReport:
         stamp: int,
         contacts: Contacts,
         forces: Array,
-        grips: Grips,
+        state: GripState,
     ) -> None:
         """Record a tick: measurements in contact frames and the regulator's estimates."""
-        friction, evidence, state = grips
-        self._watch.note(stamp, contacts, forces, friction, state, evidence)
+        self._watch.note(stamp, contacts, forces, state.friction, state.grip, state.evidence)
         is_automatic = regulator.config.mode != "user"
         # k_f may be at the limit because of a past slip; that is no reason to warn.
         self._limited.note(is_automatic and regulator.config.maximum < regulator.needed < math.inf)
@@ -105,7 +109,7 @@ class RegulatorReport:
         put("mode", regulator.config.mode)
         put("grasp_force_n", regulator.grasp_force)
         put("needed_force_n", regulator.needed)
-        facts = zip(self._fingers, *grips_of(regulator), strict=True)
+        facts = zip(self._fingers, *GripState.of(regulator), strict=True)
         for name, friction, evidence, grip in facts:
             put(f"friction {name}", float(friction))
             put(f"grip {name}", ContactState(grip).name.lower())
@@ -205,7 +209,7 @@ class SlipRegulatorNode(TactileNode[SlipRegulatorConfig]):
         touch, regulator = example_touch(fingers), self._regulator
         for stamp in (0, 1):  # the second knows the load
             regulator.step(stamp, *touch)
-        self._report.note(regulator, 0, *touch, grips_of(regulator))
+        self._report.note(regulator, 0, *touch, GripState.of(regulator))
         self.on_restart()
 
     def on_config(self, config: SlipRegulatorConfig) -> None:
@@ -270,15 +274,15 @@ class SlipRegulatorNode(TactileNode[SlipRegulatorConfig]):
                     f"k_f = {grasp_force} N is outside 0 to {maximum} N and was not published; "
                     "call ~/reset"
                 )
-            grips = grips_of(regulator)
-            self._grip_publisher.publish(stamp, *grips)
+            state = GripState.of(regulator)
+            self._grip_publisher.publish(stamp, *state)
             load, friction, reserve = regulator.carried
             self._margin_publisher.publish(stamp, friction, reserve)
             self._load_publishers.publish(stamp, load)
             self._publisher.publish((0.0, grasp_force, 0.0), stamp)
             self._changes.take_effect(stamp)
-            self._report.note(regulator, stamp, contacts, forces, grips)
-            self._publish_haptics(stamp, grasp_force / maximum, float(grips[1].max()))
+            self._report.note(regulator, stamp, contacts, forces, state)
+            self._publish_haptics(stamp, grasp_force / maximum, float(state.evidence.max()))
         return grasp_force
 
     on_tick = step
@@ -292,9 +296,11 @@ class SlipRegulatorNode(TactileNode[SlipRegulatorConfig]):
         self._strongest = max(self._strongest, slip)
         if stamp // _HAPTIC_PERIOD_NS != self._haptic_period:
             self._haptic_period = stamp // _HAPTIC_PERIOD_NS
-            kind, shown = JoyFeedback.TYPE_RUMBLE, enumerate((grip, self._strongest))
-            array = [JoyFeedback(type=kind, id=i, intensity=value) for i, value in shown]
-            self._haptic_publisher.publish(JoyFeedbackArray(array=array))
+            rumbles = [
+                JoyFeedback(type=JoyFeedback.TYPE_RUMBLE, id=number, intensity=intensity)
+                for number, intensity in enumerate((grip, self._strongest))
+            ]
+            self._haptic_publisher.publish(JoyFeedbackArray(array=rumbles))
             self._strongest = 0.0
 
 

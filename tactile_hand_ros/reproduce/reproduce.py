@@ -6,13 +6,17 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from tactile_hand_ros.report.figures import friction_figure, motion_figure
 from tactile_hand_ros.report.scene import grasp_figure
 from tactile_hand_ros.report.style import pretty, save
-from tactile_hand_ros.report.tables import markdown
+from tactile_hand_ros.report.tables import markdown, rich_table
 from tactile_hand_ros.reproduce.claims import (
     EXPERIMENTS,
+    FAILS,
+    HOLDS,
+    PARTLY,
     ExperimentRun,
     Outcomes,
     judge,
@@ -21,6 +25,9 @@ from tactile_hand_ros.reproduce.claims import (
 )
 from tactile_hand_ros.scenario.preflight import check_scenario
 from tactile_hand_ros.sweep.engine import in_parallel
+
+if TYPE_CHECKING:
+    from rich.table import Table
 
 REPORT = "reproduction.md"
 
@@ -103,3 +110,14 @@ def _section(result: Reproduction) -> str:
 
 
 CLAIM_COLUMNS = ("source", "the paper", "measured", "verdict")
+_COLORS = {HOLDS: "green", PARTLY: "yellow", FAILS: "red"}
+
+
+def claim_table(result: Reproduction) -> Table:
+    """Return the claims of a layout as a table for the terminal."""
+    from rich.text import Text
+
+    table = rich_table(f"layout {result.layout}", CLAIM_COLUMNS)
+    for *texts, verdict in result.claims:
+        table.add_row(*texts, Text(verdict, _COLORS[verdict]), end_section=True)
+    return table

@@ -145,7 +145,7 @@ def test_seeking_moves_cursors_and_the_hand(report: Page, run: Run) -> None:
 
 
 def test_the_fingertips_of_coupled_fingers_are_drawn_where_they_touch(page, tmp_path) -> None:
-    """In `ability` a joint follows another, and tips lie beside the origins of their links."""
+    """`ability` has coupled joints, and its fingertips are not at the origins of their links."""
     run = simulate("ability", {"duration": 0.02, "targets": []})
     page.open(run.report(tmp_path))
     page.js("report.player.seek(arguments[0])", float(run.record.times[-1]))

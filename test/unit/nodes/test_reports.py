@@ -26,7 +26,7 @@ from tactile_hand_ros.control.slip.regulator import SlipRegulatorConfig
 from tactile_hand_ros.nodes.common import ModeLog
 from tactile_hand_ros.nodes.force_optimizer import OptimizerReport
 from tactile_hand_ros.nodes.manipulation_controller import ControllerReport
-from tactile_hand_ros.nodes.slip_regulator import RegulatorReport, grips_of
+from tactile_hand_ros.nodes.slip_regulator import GripState, RegulatorReport
 from tactile_hand_ros.ros.diagnostics import ERROR, OK, WARN, Diagnostics
 
 CONTACTS = three_faces()
@@ -100,7 +100,7 @@ def made(mode: Literal["user", "shared", "auto"], needed: float = 5.0) -> Any:
 def noted(report: RegulatorReport, regulator: Any, *grips: tuple[int, int, int]) -> None:
     for number, grip in enumerate(grips):
         regulator.state = np.array(grip)
-        state = grips_of(regulator)
+        state = GripState.of(regulator)
         report.note(regulator, 2_000_000 * number, CONTACTS, np.ones((3, 3)), state)
 
 

@@ -27,7 +27,8 @@ def test_a_package_that_is_not_there_is_named(monkeypatch, prefix):
 
 
 def test_an_executable_that_is_not_there_is_named():
-    with pytest.raises(TactileHandError, match="no executable .*tactile_hand_ros/no_such_node;"):
+    said = "no executable .*lib/tactile_hand_ros/no_such_node;"
+    with pytest.raises(TactileHandError, match=said):
         executable_path("no_such_node")
 
 
