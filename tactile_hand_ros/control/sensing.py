@@ -31,10 +31,11 @@ class JointRates:
 
     A filter with a fixed corner frequency turns each encoder step into a pulse of the rate, which
     damping turns into a pulse of force. This window is long at rest and at constant speed, so that
-    a step counts for little. At an acceleration a it lasts about sqrt(8 e / a), with the error e.
+    a step counts for little. The rate is the middle of all slopes that fit, which jumps less than
+    the slope from end to end. At an acceleration a it lags by sqrt(2 e a), with the error e.
 
     Source: Janabi-Sharifi, Hayward, Chen, Discrete-time adaptive windowing for velocity estimation,
-    2000, the end-fit rule.
+    2000, for the window; Milanese, Belforte, 1982, for the middle.
 
     Attributes:
         error: Largest error of the rates, an angle error over the window, shape (m,), rad/s.
@@ -149,11 +150,11 @@ def _slopes(times: Array, angles: Array, count: int, error: float) -> tuple[Arra
             at = (count - 1 - back) % n
             passed = times[newest] - times[at]
             moved = angles[newest, joint] - angles[at, joint]
-            if not low <= moved / passed <= high:
+            first, last = (moved - error) / passed, (moved + error) / passed
+            if first > high or last < low:
                 break
-            slopes[joint], lengths[joint] = moved / passed, passed
-            low = max(low, (moved - error) / passed)
-            high = min(high, (moved + error) / passed)
+            low, high = max(low, first), min(high, last)
+            slopes[joint], lengths[joint] = 0.5 * (low + high), passed
     return slopes, lengths
 
 

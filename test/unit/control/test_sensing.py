@@ -119,8 +119,14 @@ def test_an_angle_that_flickers_between_two_steps_is_at_rest_and_a_start_is_seen
     assert abs(found[100]) < 0.01 and found[104] == pytest.approx(1.0, abs=0.2)
 
 
+def test_the_rate_is_the_middle_of_all_slopes_that_fit():
+    """Four ticks after a step, slopes from 0 to a third of a step a tick do, not only a fourth."""
+    found = rates_of(STEP * np.array([0.5, 1.5, 1.5, 1.5, 1.5]))[-1, 0]
+    assert found == pytest.approx(STEP / 6.0 / 1e-3, rel=0.02)
+
+
 def test_the_lag_at_an_acceleration_is_that_of_the_window():
-    """20 rad/s^2: sqrt(8 e / a) = 12 ms, and the slope lags by half of that."""
+    """20 rad/s^2: sqrt(2 e a) = 0.124 rad/s."""
     times = 1e-3 * np.arange(300)
     late = 20.0 * times - rates_of(10.0 * times**2)[:, 0]
     assert 0.0 < late[100:].mean() < 20.0 * 0.5 * 0.0125 + STEP / 0.0125
