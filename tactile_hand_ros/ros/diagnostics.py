@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import time
-from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -53,7 +52,7 @@ class Diagnostics:
         self._errors: dict[str, _Notes] = {}
         self._values: dict[str, Any] = {}
         self._faults: dict[str, tuple[str, bytes]] = {}
-        self._latencies: deque[float] = deque(maxlen=_WINDOW)
+        self._latencies, self._measured = np.empty(_WINDOW), 0  # a ring, s
 
     def tick(self) -> None:
         """Count one tick."""
@@ -61,7 +60,8 @@ class Diagnostics:
 
     def latency(self, seconds: float) -> None:
         """Record the duration of one tick [s]."""
-        self._latencies.append(seconds)
+        self._latencies[self._measured % _WINDOW] = seconds
+        self._measured += 1
 
     def value(self, key: str, value: Any) -> None:
         """Set a reported value, such as a margin or a residual."""
@@ -136,9 +136,10 @@ class Diagnostics:
         return level, f"{text}; {silence}" if self.expects else text
 
     def _percentiles(self) -> dict[str, str]:
-        if not self._latencies:
+        if not self._measured:
             return {}
-        marks = np.percentile(self._latencies, (50, 99, 100), method="nearest")
+        recent = self._latencies[: self._measured]
+        marks = np.percentile(recent, (50, 99, 100), method="nearest")
         named = zip(("p50", "p99", "max"), marks, strict=True)
         return {f"latency_{name}_us": f"{1e6 * mark:.0f}" for name, mark in named}
 
