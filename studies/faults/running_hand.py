@@ -177,7 +177,11 @@ class RunningHand:
         return wait_until(answer, _ANSWER, f"an answer of {service}").result()
 
     def begin(self) -> None:
-        """Restart at timestamp 0, with the targets of the scenario."""
+        """Restart at timestamp 0, with the targets of the scenario.
+
+        The events begin with the first tick: on a busy computer, messages of the last run are still
+        on their way when the next one starts.
+        """
         self._call(SetBool, "plant/run", SetBool.Request(data=False))
         self._call(Trigger, "plant/reset", Trigger.Request())
         self._call(Trigger, "manipulation_controller/reset", Trigger.Request())
@@ -189,6 +193,16 @@ class RunningHand:
         self.events.clear()
         self._call(SetBool, "plant/run", SetBool.Request(data=True))
 
+        def first_tick() -> Received | None:
+            poses = (event for event in self.events if event.topic == names.OBJECT_POSE)
+            return next((pose for pose in poses if self._stamp(pose) == 0), None)
+
+        first = wait_until(first_tick, PATIENCE, "the first tick")
+        del self.events[: self.events.index(first)]
+
+    def _stamp(self, event: Received) -> int:
+        return stamp_to_ns(self.read(event).header.stamp)
+
     def wait_for_time(self, seconds: float, limit: float = PATIENCE) -> None:
         """Wait until a simulated time [s], at most for a limit [s]."""
         due = round(1e9 * seconds)
@@ -196,7 +210,7 @@ class RunningHand:
         def is_there() -> bool:
             for event in reversed(self.events):
                 if event.topic == names.OBJECT_POSE:
-                    return bool(stamp_to_ns(self.read(event).header.stamp) >= due)
+                    return self._stamp(event) >= due
             return False
 
         wait_until(is_there, limit, f"t = {seconds:g} s")
