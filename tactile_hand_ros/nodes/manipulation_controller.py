@@ -45,6 +45,7 @@ from tactile_hand_ros.ros.runner import run_node
 from tactile_hand_ros.ros.ticks import TickInputs
 
 _TICK, _SLOW, _SHORT = 1_000_000, 1e-3, 1e-3  # ns, rad/s and m, of a rehearsal
+_FULL = 1.0 - 1e-9  # of an effort limit; the law itself scales its torque to it, up to rounding
 _AT_LIMIT = "a joint is at the effort limit of the URDF; lower the grasp force or the gains"
 
 
@@ -400,12 +401,12 @@ class ManipulationControllerNode(TactileNode[ControllerConfig]):
         return command
 
     def _limited(self, torque: Array) -> Array:
-        """Clip a torque to the joints' effort limits, and warn if it exceeds them."""
-        is_over = bool((np.abs(torque) > self._limits).any())
-        if is_over or self._is_limited:
-            self.diagnostics.judge("torque", is_over, _AT_LIMIT, WARN)
-        self._is_limited = is_over
-        return np.clip(torque, -self._limits, self._limits) if is_over else torque
+        """Clip a torque to the joints' effort limits, and warn if one is reached."""
+        is_full = bool((np.abs(torque) >= _FULL * self._limits).any())
+        if is_full or self._is_limited:
+            self.diagnostics.judge("torque", is_full, _AT_LIMIT, WARN)
+        self._is_limited = is_full
+        return np.clip(torque, -self._limits, self._limits) if is_full else torque
 
 
 def main(args: Sequence[str] | None = None) -> int:

@@ -56,7 +56,8 @@ def tick(node: Any, stamp: int, forces: Any = PUSH, **changes: Any) -> Any:
         return node.step(stamp, changes.get("contacts", STATE.contacts), FRICTION, forces)
     shape = changes.get("shape", FRACTIONS)
     contacts = changes.get("contacts", STATE.contacts)
-    return node.step(stamp, JOINTS.theta, JOINTS.rates, contacts, shape, 10.0, None, JOINTS.applied)
+    touch = contacts, shape, changes.get("grasp_force", 10.0), None
+    return node.step(stamp, JOINTS.theta, JOINTS.rates, *touch, JOINTS.applied)
 
 
 def asked(messages: list[Any]) -> list[tuple[str, str, int]]:
@@ -245,16 +246,13 @@ def test_without_an_answer_f_is_nan_and_the_reason_a_fault(here):
     assert level(node)[0] == OK
 
 
-def test_a_torque_beyond_the_effort_limits_is_cut_off_with_a_warning(here):
-    node = here.make(ManipulationControllerNode, **{"law.damping": 1e-12})
-    sent = tapped(node)
-    limits = HAND.effort_limits
+def test_a_torque_at_the_effort_limits_is_reported(here):
+    node = here.make(ManipulationControllerNode)
     tick(node, 0)
-    assert level(node)[0] == OK
-    command = tick(node, TICK, shape=1000.0 * FRACTIONS)
-    assert (np.abs(command.torque) <= limits).all()
-    assert command.do_not_send or level(node)[0] == WARN
-    assert (np.abs(torque(sent)[1]) <= limits).all()
+    assert "fault torque" not in facts(node)
+    command = tick(node, TICK, grasp_force=1e4)
+    assert np.abs(command.torque / HAND.effort_limits).max() == pytest.approx(1.0)
+    assert "effort limit" in facts(node)["fault torque"]
     tick(node, 2 * TICK)
     assert "fault torque" not in facts(node)
 
