@@ -9,7 +9,7 @@ from support.hands import prism_grasp
 
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
 from tactile_hand_ros.control.grasp import VirtualFrame, grasp_map, wrench_forces
-from tactile_hand_ros.control.holds import fitted_gains, motions_of_object
+from tactile_hand_ros.control.holds import buckling_rate, fitted_gains, motions_of_object
 from tactile_hand_ros.control.optimizer.force_optimizer import (
     ForceOptimizer,
     ForceOptimizerConfig,
@@ -109,3 +109,4 @@ def test_gains_fit_motions_that_exist_only(tmp_path):
     assert np.isfinite(damping).all() and np.isfinite(gains.at(0.0, 0.0)[1]).all()
     assert np.linalg.matrix_rank(stiffness, tol=1e-9 * np.abs(stiffness).max()) == 3
     assert np.linalg.eigvalsh(stiffness * np.repeat([1.0, 2.0], 3))[0] > -1e-9
+    assert buckling_rate(plant.hand, theta, contacts, forces) >= 0.0

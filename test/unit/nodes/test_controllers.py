@@ -248,11 +248,15 @@ def test_without_an_answer_f_is_nan_and_the_reason_a_fault(here):
 
 def test_a_torque_at_the_effort_limits_is_reported(here):
     node = here.make(ManipulationControllerNode)
+    sent = tapped(node)
+    limits = HAND.effort_limits
     tick(node, 0)
-    assert "fault torque" not in facts(node)
+    assert level(node)[0] == OK and "fault torque" not in facts(node)
     command = tick(node, TICK, grasp_force=1e4)
-    assert np.abs(command.torque / HAND.effort_limits).max() == pytest.approx(1.0)
-    assert "effort limit" in facts(node)["fault torque"]
+    assert np.abs(command.torque / limits).max() == pytest.approx(1.0)
+    assert (np.abs(command.torque) <= limits).all()
+    assert level(node)[0] == WARN and "effort limit" in facts(node)["fault torque"]
+    assert (np.abs(torque(sent)[1]) <= limits).all()
     tick(node, 2 * TICK)
     assert "fault torque" not in facts(node)
 
