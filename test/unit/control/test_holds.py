@@ -27,6 +27,7 @@ from tactile_hand_ros.control.holds import (
     stiffest,
     tip_forces,
 )
+from tactile_hand_ros.control.slip.detector import ContactState
 from tactile_hand_ros.hand.hand import Hand
 from tactile_hand_ros.rotations import rotation_from_vector
 from tactile_hand_ros.scenario.scenario import load_scenario
@@ -339,6 +340,14 @@ def test_a_heavy_object_and_a_delay_of_two_milliseconds_need_no_more_force(rate,
     assert loop.loop.state.slid.max() < 1e-4
 
 
+@pytest.mark.parametrize(("bits", "seed"), [(14, 1), (16, 2)])
+def test_gains_that_fit_a_heavy_hand_shake_no_tip_as_a_slip_would(bits, seed):
+    """A sudden pull moves the joints, and so the steps of their angles into the torques."""
+    changes = {"plant.encoder.bits": bits, "seed": seed, "duration": 2.5}
+    loop = ClosedLoop(load_scenario("pull", changes | {"manipulation_controller.law.damping": 0.0}))
+    assert not (loop.run().grip == ContactState.SLIP).any()
+
+
 @pytest.mark.parametrize("joints", [[3, 3, 3], [4, 4, 4, 4], [3, 4, 3, 5, 4]])
 def test_with_encoders_only_what_moves_the_object_is_damped_as_k_f_needs_it(tmp_path, joints):
     plant = Plant(load_scenario("gravity", prism_grasp(tmp_path, joints)).plant)
@@ -359,6 +368,9 @@ def test_with_encoders_only_what_moves_the_object_is_damped_as_k_f_needs_it(tmp_
     found = np.sort(bandwidths(most / gains.needed))
     assert found[-7] < 1.001 * quietest.max()
     assert_allclose(found[-6:], most, rtol=1e-6)
+    # Where the skin would feel angle errors, they shake the hand less.
+    gains = fitted_gains(hand, theta, contacts, *how, noise=0.25 * 0.03 * hand.finger_weight)
+    assert_allclose(np.sort(bandwidths(0.0)), 0.5 * quiet, rtol=1e-6)
     # Torques that are two ticks late allow half as much.
     gains = fitted_gains(hand, theta, contacts, *how, 2)
     assert np.sort(bandwidths(1e9))[-6:] == pytest.approx(500.0, rel=1e-6)
