@@ -46,6 +46,7 @@ _MAX_OFFSET, _MAX_RATE = np.pi, 1e3  # rad and rad/s; keep the torque finite
 _OBSERVES = 3.0  # w times T of the load observer; one twice as fast feeds back encoder noise
 _MASS = 1.5 / 9.81  # kg per N of load; objects reach beyond their contacts
 _STEP = 1e-5  # of finite differences, rad
+_RCOND = 1e-6  # of the largest singular value; smaller ones belong to straight fingers
 _INDEPENDENT = 1e-9  # of the largest singular value; smaller ones are rounding
 
 
@@ -295,12 +296,7 @@ class GraspTorque(NamedTuple):
     @classmethod
     def of(cls, tips: Fingertips, torque: Array) -> GraspTorque:
         """Return a torque of the contacts, shape (m,), N m, in these parts."""
-        k = len(tips.positions)
-        each = [_pulls(tips.positions, unit) for unit in np.eye(k * (k - 1) // 2)]
-        along = np.reshape(each, (len(each), 3 * k)).T
-        forces = tip_forces(tips, torque).ravel()
-        tensions = np.asarray(np.linalg.lstsq(along, forces, rcond=1e-6)[0], dtype=float)
-        return cls(tensions, torque - joint_torque(tips, _pulls(tips.positions, tensions)))
+        return cls(*_split(tips, torque))
 
     def scaled(self, factor: float) -> GraspTorque:
         """Return it with all parts multiplied by a factor."""
@@ -313,6 +309,17 @@ class GraspTorque(NamedTuple):
     def at(self, tips: Fingertips, factor: float) -> Array:
         """Return the torque at these fingertips, (m,), N m, with a factor of the tensions."""
         return np.asarray(self.load + factor * joint_torque(tips, self.internal_forces(tips)))
+
+
+@compiled
+def _split(tips: Fingertips, torque: Array) -> tuple[Array, Array]:
+    """Return tensions and load of a torque; see `GraspTorque`."""
+    k = len(tips.positions)
+    along = np.empty((3 * k, k * (k - 1) // 2))
+    for pair, unit in enumerate(np.eye(along.shape[1])):
+        along[:, pair] = _pulls(tips.positions, unit).ravel()
+    tensions = _least_squares(along, tip_forces(tips, torque).ravel())
+    return tensions, torque - joint_torque(tips, _pulls(tips.positions, tensions))
 
 
 @compiled
@@ -419,16 +426,26 @@ class GuardHold:
         return -(x * fading / stopping) * self._speed
 
 
+@compiled
 def tip_forces(tips: Fingertips, torque: Array) -> Array:
     """Return tip forces, shape (k, 3), N, that balance a joint torque tau, shape (m,), N m.
 
     The least-squares solution of J_i^T f_i = tau, exact for fingers with three joints.
     """
-    rows = tips.linear.reshape(-1, tips.linear.shape[-1])
-    forces = np.linalg.lstsq(rows.T, torque, rcond=1e-6)[0]
-    return np.asarray(forces.reshape(-1, 3))
+    k, axes, m = tips.linear.shape
+    rows = tips.linear.reshape(k * axes, m)
+    return _least_squares(rows.T, torque).reshape(k, axes)
 
 
+@compiled
+def _least_squares(a: Array, b: Array) -> Array:
+    """Return the smallest x of the smallest |a x - b|; NaN unless b is finite."""
+    if not np.isfinite(b).all():
+        return np.full(a.shape[1], np.nan)
+    return np.asarray(np.linalg.lstsq(a, b, _RCOND)[0], np.float64)
+
+
+@compiled
 def joint_torque(tips: Fingertips, forces: Array) -> Array:
     """Return the joint torques, (m,), N m, of forces, (k, 3), N, at the tip centers."""
-    return np.asarray(np.einsum("kim,ki->m", tips.linear, forces))
+    return joint_torques(tips, tips.positions, forces)
