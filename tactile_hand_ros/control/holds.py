@@ -58,17 +58,18 @@ def stiffest(hand: Hand, inertia: Array, tick: float, late: float, error: float)
     """
     if error == 0.0:
         return _PHASE / late
-    allowed = _SHAKE * hand.finger_weight
-    quietest = float(_quietest(hand, inertia.diagonal().max(), error, allowed))
+    quietest = float(_quietest(hand, inertia.diagonal().max(), error))
     return min(_PHASE / (late + 0.5 * tick), quietest)
 
 
-def _quietest(hand: Hand, inertia: Array, error: float, allowed: float) -> Array:
-    """Return bandwidths w, rad/s, at which angle errors e shake a tip by an allowed force, N.
+def _quietest(hand: Hand, inertia: Array, error: float, noise: float = math.inf) -> Array:
+    """Return bandwidths w, rad/s, at which angle errors e shake the hand as much as allowed.
 
-    Their torque is I w^2 e, with inertias I of any shape, kg m^2. The finger is at full reach.
+    Their torque I w^2 e, with inertias I of any shape, kg m^2, may be that of a fraction of a
+    finger's weight at its full reach, or of the noise of the skin, N, beyond which it looks like
+    slip.
     """
-    allowed *= hand.spans.max()
+    allowed = min(_SHAKE * hand.finger_weight, noise) * hand.spans.max()
     return np.sqrt(allowed / (inertia * error)) if error > 0.0 else np.full_like(inertia, math.inf)
 
 
@@ -135,13 +136,12 @@ def fitted_gains(
     """Return gains that fit a hand: the damping K_c = w M_h, or D at the grasp, and K_p.
 
     Angle errors bound w along each principal axis of M_h; light joints, which alone turn some
-    objects, bear more than heavy ones. Beyond the noise of the skin, their forces would look like
-    slip. Torques that are held for T make fingers oscillate at w = 2 / T. An object adds inertia,
-    so w is at most 1 / T. Torques that are n ticks late cost the phase w (n + 1/2) T of the
-    damping, at most 72 of its 90 degrees. Directions of forces f that are d old cost the damping
-    K_geo d, a fraction of it at w = b^2 d over that fraction, with the rate b of `buckling_rate` at
-    that k_f and the margin. This is w, unless angle errors allow more. Rates that do not move the
-    object are damped as much as angle errors allow.
+    objects, bear more than heavy ones. Torques that are held for T make fingers oscillate at
+    w = 2 / T. An object adds inertia, so w is at most 1 / T. Torques that are n ticks late cost the
+    phase w (n + 1/2) T of the damping, at most 72 of its 90 degrees. Directions of forces f that
+    are d old cost the damping K_geo d, a fraction of it at w = b^2 d over that fraction, with the
+    rate b of `buckling_rate` at that k_f and the margin. This is w, unless angle errors allow more.
+    Rates that do not move the object are damped as much as angle errors allow.
 
     The pose is t late, and the object, of inertia m, follows the damping after m / D. Both cost
     phase of the stiffness, so K_p = p D / (t + m / D), with the m of an object whose weight is the
@@ -157,14 +157,13 @@ def fitted_gains(
         follows: Time constant of the load observer, s; t - d unless coarse encoders need more.
         error: Largest error of an angle, rad.
         delay: n, the largest delay of a torque, ticks.
-        noise: Noise of measured forces, N.
+        noise: Noise of measured forces, N, by which angle errors may shake a tip.
     """
     inertia = hand.dynamics(theta, np.zeros(hand.joints)).inertia
     largest = min(1.0, _DAMPING_PHASE / (delay + 0.5)) / tick
     inertias, axes = np.linalg.eigh(inertia)
-    allowed = min(_SHAKE * hand.finger_weight, noise)
-    quietest = np.minimum(_quietest(hand, inertias, error, allowed), largest)
-    quiet = (axes * inertias * quietest) @ axes.T
+    bounds = np.minimum(_quietest(hand, inertias, error, noise), largest)
+    quiet = (axes * inertias * bounds) @ axes.T
     motions = _motions(hand, hand.fingertips(theta), contacts)
     joints, twists = np.split(motions, [hand.joints])
     redundant = joints @ _kernel(twists)
