@@ -70,7 +70,7 @@ def each_tick() -> list[Link]:
     """Return the topics of the paper's scenario with a message per tick."""
     acting = (names.REGULATOR, names.OPTIMIZER, names.CONTROLLER)
     links = [
-        Link(names.JOINT_STATES, PLANT, (names.CONTROLLER,)),
+        Link(names.JOINT_STATES, PLANT, (names.REGULATOR, names.CONTROLLER)),
         Link(names.TRUE_CONTACTS, PLANT, (names.SENSOR,)),
         Link(names.TRUE_SLIP, PLANT, (names.SENSOR,)),
         Link(names.OBJECT_POSE, PLANT),

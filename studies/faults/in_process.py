@@ -112,9 +112,12 @@ class _Regulator(_Block):
     def joints_held(self, held: bool) -> None:
         self.block.joints_held = held
 
-    def step(self, stamp: int, contacts: Contacts | None, forces: Array | None) -> Any:
-        is_complete = contacts is not None and forces is not None
-        answer = self.block.step(stamp, contacts, forces) if is_complete else None
+    def step(
+        self, stamp: int, contacts: Contacts | None, forces: Array | None, pressed: Array | None
+    ) -> Any:
+        inputs = contacts, forces, pressed
+        is_complete = all(each is not None for each in inputs)
+        answer = self.block.step(stamp, *inputs) if is_complete else None
         return self._carry("grasp force", answer, lambda value: value and _FACTOR * value)
 
 

@@ -55,7 +55,8 @@ class Chain:
         forces: Array,
     ) -> Answer:
         """Return the answer to a tick [ns]; see `Controller.step` for joints and touch."""
-        grasp_force = self.regulator.step(stamp, contacts, forces)
+        pressed = self.controller.hand.pressed_by(theta, applied)
+        grasp_force = self.regulator.step(stamp, contacts, forces, pressed)
         optimal = self.optimizer.step(stamp, contacts, self.regulator.carried, grasp_force)
         command = self.controller.step(
             stamp, theta, rates, contacts, optimal.forces, grasp_force, forces, applied

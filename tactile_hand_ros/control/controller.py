@@ -126,13 +126,6 @@ class ControllerConfig(Config):
         ge=0.0,
         le=0.5,
     )
-    touch_noise: float = param(
-        0.02,
-        "noise of the skin's forces; errors of joint angles may shake a fingertip as much",
-        unit="N",
-        live=True,
-        gt=0.0,
-    )
     grasp_force_limit: float = param(
         0.0, "largest k_f, 0 for no limit", unit="N", live=True, ge=0.0
     )
@@ -742,7 +735,7 @@ class Controller:
         if c.law.uses_optimal_forces:
             forces = in_palm(contacts.rotations, now.optimal_forces, 1.0)
         ages = c.touch_latency, c.law.observer.time
-        how = forces, self._period, *ages, c.hold.resolution, self._delay.allowed, c.touch_noise
+        how = forces, self._period, *ages, c.hold.resolution, self._delay.allowed
         self._law.fit(fitted_gains(self._fingers, now.theta, contacts, *how))
         motions = motions_of_object(self._fingers, now.theta, contacts)
         self._keep_posture(motions < FEWEST_MOTIONS, now.theta)

@@ -34,7 +34,7 @@ from tactile_hand_ros.config.model import Config, param
 from tactile_hand_ros.control.contact import Contacts, hand_jacobian, joint_torques
 from tactile_hand_ros.control.grasp import centered, grasp_map
 from tactile_hand_ros.control.laws import FittedGains
-from tactile_hand_ros.hand.hand import Dynamics, Fingertips, Hand
+from tactile_hand_ros.hand.hand import Dynamics, Fingertips, Hand, least_squares, tip_forces
 from tactile_hand_ros.rotations import dot
 
 _PHASE = 0.5  # w d: leaves 17 degrees of phase at the longest delay, 47 at half of it
@@ -46,7 +46,6 @@ _MAX_OFFSET, _MAX_RATE = np.pi, 1e3  # rad and rad/s; keep the torque finite
 _OBSERVES = 3.0  # w times T of the load observer; one twice as fast feeds back encoder noise
 _MASS = 1.5 / 9.81  # kg per N of load; objects reach beyond their contacts
 _STEP = 1e-5  # of finite differences, rad
-_RCOND = 1e-6  # of the largest singular value; smaller ones belong to straight fingers
 _INDEPENDENT = 1e-9  # of the largest singular value; smaller ones are rounding
 
 
@@ -62,14 +61,13 @@ def stiffest(hand: Hand, inertia: Array, tick: float, late: float, error: float)
     return min(_PHASE / (late + 0.5 * tick), quietest)
 
 
-def _quietest(hand: Hand, inertia: Array, error: float, noise: float = math.inf) -> Array:
+def _quietest(hand: Hand, inertia: Array, error: float) -> Array:
     """Return bandwidths w, rad/s, at which angle errors e shake the hand as much as allowed.
 
-    Their torque I w^2 e, with inertias I of any shape, kg m^2, may be that of a fraction of a
-    finger's weight at its full reach, or of the noise of the skin, N, beyond which it looks like
-    slip.
+    Their torque I w^2 e, with inertias I of any shape, kg m^2, may be a fraction of that of a
+    finger's weight at its full reach.
     """
-    allowed = min(_SHAKE * hand.finger_weight, noise) * hand.spans.max()
+    allowed = _SHAKE * hand.finger_weight * hand.spans.max()
     return np.sqrt(allowed / (inertia * error)) if error > 0.0 else np.full_like(inertia, math.inf)
 
 
@@ -131,7 +129,6 @@ def fitted_gains(
     follows: float,
     error: float = 0.0,
     delay: int = 0,
-    noise: float = math.inf,
 ) -> FittedGains:
     """Return gains that fit a hand: the damping K_c = w M_h, or D at the grasp, and K_p.
 
@@ -157,12 +154,11 @@ def fitted_gains(
         follows: Time constant of the load observer, s; t - d unless coarse encoders need more.
         error: Largest error of an angle, rad.
         delay: n, the largest delay of a torque, ticks.
-        noise: Noise of measured forces, N, by which angle errors may shake a tip.
     """
     inertia = hand.dynamics(theta, np.zeros(hand.joints)).inertia
     largest = min(1.0, _DAMPING_PHASE / (delay + 0.5)) / tick
     inertias, axes = np.linalg.eigh(inertia)
-    bounds = np.minimum(_quietest(hand, inertias, error, noise), largest)
+    bounds = np.minimum(_quietest(hand, inertias, error), largest)
     quiet = (axes * inertias * bounds) @ axes.T
     motions = _motions(hand, hand.fingertips(theta), contacts)
     joints, twists = np.split(motions, [hand.joints])
@@ -317,7 +313,7 @@ def _split(tips: Fingertips, torque: Array) -> tuple[Array, Array]:
     along = np.empty((3 * k, k * (k - 1) // 2))
     for pair, unit in enumerate(np.eye(along.shape[1])):
         along[:, pair] = _pulls(tips.positions, unit).ravel()
-    tensions = _least_squares(along, tip_forces(tips, torque).ravel())
+    tensions = least_squares(along, tip_forces(tips, torque).ravel())
     return tensions, torque - joint_torque(tips, _pulls(tips.positions, tensions))
 
 
@@ -423,25 +419,6 @@ class GuardHold:
         self.reference = posture, (1.0 + x) * fading * self._speed
         self._ticks += 1
         return -(x * fading / stopping) * self._speed
-
-
-@compiled
-def tip_forces(tips: Fingertips, torque: Array) -> Array:
-    """Return tip forces, shape (k, 3), N, that balance a joint torque tau, shape (m,), N m.
-
-    The least-squares solution of J_i^T f_i = tau, exact for fingers with three joints.
-    """
-    k, axes, m = tips.linear.shape
-    rows = tips.linear.reshape(k * axes, m)
-    return _least_squares(rows.T, torque).reshape(k, axes)
-
-
-@compiled
-def _least_squares(a: Array, b: Array) -> Array:
-    """Return the smallest x of the smallest |a x - b|; NaN unless b is finite."""
-    if not np.isfinite(b).all():
-        return np.full(a.shape[1], np.nan)
-    return np.asarray(np.linalg.lstsq(a, b, _RCOND)[0], np.float64)
 
 
 @compiled

@@ -17,6 +17,8 @@ from tactile_hand_ros.errors import HandModelError
 from tactile_hand_ros.hand.tip_fit import fitted_tips
 from tactile_hand_ros.hand.urdf import describe
 
+_RCOND = 1e-6  # of the largest singular value; smaller ones belong to straight fingers
+
 
 class Fingertips(NamedTuple):
     """Fingertip centers and their Jacobians at one configuration, all in palm axes.
@@ -60,6 +62,25 @@ def tip_jacobians(
     for i in range(k):
         driven[0][i], driven[1][i] = linear[i] @ coupling, angular[i] @ coupling
     return driven
+
+
+@compiled
+def tip_forces(tips: Fingertips, torque: Array) -> Array:
+    """Return tip forces, shape (k, 3), N, that balance a joint torque tau, shape (m,), N m.
+
+    The least-squares solution of J_i^T f_i = tau, exact for fingers with three joints.
+    """
+    k, axes, m = tips.linear.shape
+    rows = tips.linear.reshape(k * axes, m)
+    return least_squares(rows.T, torque).reshape(k, axes)
+
+
+@compiled
+def least_squares(a: Array, b: Array) -> Array:
+    """Return the smallest x of the smallest |a x - b|; NaN unless b is finite."""
+    if not np.isfinite(b).all():
+        return np.full(a.shape[1], np.nan)
+    return np.asarray(np.linalg.lstsq(a, b, _RCOND)[0], np.float64)
 
 
 @compiled
@@ -256,6 +277,10 @@ class Hand:
         """Return fingertip centers and Jacobians, equation (1)."""
         pin.computeJointJacobians(self.model, self._data, self.all_angles(theta))
         return self._tips_at(self._read_centers())
+
+    def pressed_by(self, theta: Array, torque: Array | None) -> Array | None:
+        """Return the `tip_forces` of a torque, shape (k, 3), N; None if it is unknown."""
+        return None if torque is None else tip_forces(self.fingertips(theta), torque)
 
     def _tips_at(self, centers: Array) -> Fingertips:
         jacobians = tip_jacobians(self._spatial, self._support, self._coupling, centers)

@@ -27,19 +27,20 @@ from std_srvs.srv import Trigger
 
 from tactile_hand_ros import names
 from tactile_hand_ros.compiled import Array
-from tactile_hand_ros.config.hand_config import load_hand_config
 from tactile_hand_ros.control.contact import Contacts, example_touch
 from tactile_hand_ros.control.loads import CarriedLoad
 from tactile_hand_ros.control.margins import SlipMonitor
 from tactile_hand_ros.control.slip.detector import ContactState
 from tactile_hand_ros.control.slip.regulator import SlipRegulator, SlipRegulatorConfig
 from tactile_hand_ros.errors import UnsafeOutputError
+from tactile_hand_ros.hand.hand import Hand
 from tactile_hand_ros.nodes.common import ModeLog
 from tactile_hand_ros.nodes.user_changes import AppliedChanges
 from tactile_hand_ros.ros import qos, streams
 from tactile_hand_ros.ros.diagnostics import WARN, Diagnostics, Mostly
 from tactile_hand_ros.ros.messages import (
     JointCodec,
+    Joints,
     WrenchCodec,
     WrenchPublishers,
     read_number,
@@ -134,10 +135,11 @@ class SlipRegulatorNode(TactileNode[SlipRegulatorConfig]):
     """Publishes the grasp force k_f and the grip of each finger at each tick.
 
     Subscriptions: `tactile/contacts` (geometry_msgs/PoseArray, palm frame, m),
-    `tactile/<finger>/wrench` (geometry_msgs/WrenchStamped in `<finger>_contact`, N), both with the
-    same timestamp; `user_grasp_force` (std_msgs/Float64, the k_f that the user requests, N);
-    `touch_rejected` (std_msgs/String, fingers whose touch the controller rejects); `joint_hold`
-    (std_msgs/Bool, whether a guard holds the joints).
+    `tactile/<finger>/wrench` (geometry_msgs/WrenchStamped in `<finger>_contact`, N), `joint_states`
+    (sensor_msgs/JointState, rad and N m), all with the same timestamp; `user_grasp_force`
+    (std_msgs/Float64, the k_f that the user requests, N); `touch_rejected` (std_msgs/String,
+    fingers whose touch the controller rejects); `joint_hold` (std_msgs/Bool, whether a guard holds
+    the joints).
 
     Publications, with the timestamp of the input: `grasp_force` (geometry_msgs/WrenchStamped, k_f
     in force.y, N), `grip_state` (sensor_msgs/JointState by finger: learned friction, evidence for
@@ -168,7 +170,8 @@ class SlipRegulatorNode(TactileNode[SlipRegulatorConfig]):
         `joints_held`, so the node does not subscribe to these inputs.
         """
         super().__init__("slip_regulator", SlipRegulatorConfig, **kwargs)
-        fingers = self._fingers = load_hand_config(self.config.hand).finger_names
+        self._hand = Hand.load(self.config.hand, self.config.layout)
+        fingers = self._fingers = self._hand.finger_names
         self._regulator = SlipRegulator(self.config, len(fingers))
         self._changes = AppliedChanges(self, names.REGULATOR, commands=True)
         self._report = RegulatorReport(self.diagnostics, fingers)
@@ -197,7 +200,8 @@ class SlipRegulatorNode(TactileNode[SlipRegulatorConfig]):
             latched = qos.latched_qos(qos.USER_DEPTH)
             self.subscribe(String, names.TOUCH_REJECTED, self._on_touch_rejected, profile=latched)
             self.subscribe(Bool, names.JOINT_HOLD, self._on_joint_hold, profile=latched)
-            declared = (streams.contacts(len(fingers)), streams.forces(fingers))
+            touch = streams.contacts(len(fingers)), streams.forces(fingers)
+            declared = (*touch, streams.joints(self._hand.joint_names))
             self._inputs = TickInputs(self, declared, self, observe=self.observe)
 
     @property
@@ -207,8 +211,9 @@ class SlipRegulatorNode(TactileNode[SlipRegulatorConfig]):
 
     def _rehearse(self, fingers: int) -> None:
         touch, regulator = example_touch(fingers), self._regulator
+        still = np.zeros(self._hand.joints)
         for stamp in (0, 1):  # the second knows the load
-            regulator.step(stamp, *touch)
+            regulator.step(stamp, *touch, self._hand.pressed_by(still, still))
         self._report.note(regulator, 0, *touch, GripState.of(regulator))
         self.on_restart()
 
@@ -264,11 +269,17 @@ class SlipRegulatorNode(TactileNode[SlipRegulatorConfig]):
         response.success, response.message = True, f"k_f = {self._regulator.grasp_force:g} N"
         return response
 
-    def step(self, stamp: int, contacts: Contacts, forces: Array) -> float:
+    def on_tick(self, stamp: int, contacts: Contacts, forces: Array, joints: Joints) -> None:
+        """Answer a complete tick."""
+        self.step(stamp, contacts, forces, self._hand.pressed_by(joints.theta, joints.applied))
+
+    def step(
+        self, stamp: int, contacts: Contacts, forces: Array, pressed: Array | None = None
+    ) -> float:
         """Publish grip, load and k_f and return k_f; see `SlipRegulator.step`."""
         with self.answering():
             regulator, maximum = self._regulator, self.config.maximum
-            grasp_force = regulator.step(stamp, contacts, forces)
+            grasp_force = regulator.step(stamp, contacts, forces, pressed)
             if not 0.0 <= grasp_force <= maximum:
                 raise UnsafeOutputError(
                     f"k_f = {grasp_force} N is outside 0 to {maximum} N and was not published; "
@@ -285,11 +296,10 @@ class SlipRegulatorNode(TactileNode[SlipRegulatorConfig]):
             self._publish_haptics(stamp, grasp_force / maximum, float(state.evidence.max()))
         return grasp_force
 
-    on_tick = step
-
-    def observe(self, stamp: int, contacts: Contacts, forces: Array) -> None:
+    def observe(self, stamp: int, contacts: Contacts, forces: Array, joints: Joints) -> None:
         """Process a skipped tick, because slip detection needs every sample."""
-        self._regulator.step(stamp, contacts, forces)
+        pressed = self._hand.pressed_by(joints.theta, joints.applied)
+        self._regulator.step(stamp, contacts, forces, pressed)
         self._changes.take_effect(stamp)
 
     def _publish_haptics(self, stamp: int, grip: float, slip: float) -> None:

@@ -23,8 +23,8 @@ class LateRegulator(SlipRegulator):
         super().__init__(config, fingers)
         self._count, self._sent = 0, deque([config.grasp_force], maxlen=LATE + 1)
 
-    def step(self, stamp, contacts=None, forces=None):
-        answer = super().step(stamp, contacts, forces)
+    def step(self, *inputs):
+        answer = super().step(*inputs)
         self._sent.append(answer if self._count % EVERY == 0 else self._sent[-1])
         self._count += 1
         return self._sent[0]

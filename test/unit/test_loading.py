@@ -19,7 +19,7 @@ NODE = FIGURES | COMMANDS
 UNNEEDED = {
     "plant": NODE | SOLVER,
     "tactile_sensor": NODE | MODEL | SOLVER | PLANT,
-    "slip_regulator": NODE | MODEL | SOLVER | PLANT,
+    "slip_regulator": NODE | SOLVER | PLANT,
     "force_optimizer": NODE | MODEL | PLANT,
     "manipulation_controller": NODE | SOLVER | PLANT,
     "recorder": NODE | MODEL | SOLVER | PLANT | COMPILER,

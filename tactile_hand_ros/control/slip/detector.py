@@ -72,6 +72,10 @@ _MEMORY = np.dtype(
         ("threshold", np.float64),  # of the evidence
         ("agrees", np.bool_),
         ("variance", np.float64),  # of a force, per axis
+        ("pressed", np.float64, 3),  # force by the joint torques, palm axes
+        ("pressing", np.float64, 3),  # change of it from sample to sample
+        ("shaking", np.float64),  # usual power of its innovation, N^2
+        ("excess", np.float64),  # of the newest innovation over that, N^2
         ("last", np.float64, 3),  # force, palm axes; NaN where there was none
         ("change", np.float64, 3),  # of it from sample to sample
         ("rate", np.float64, 3),  # of it, smoothed, N/s
@@ -104,6 +108,11 @@ class SlipDetector:
     has 16 / 6 of the mean power, which scales h. A step of the load changes up to three
     innovations, so each counts for h / 4 at most. See docs/explanation/slip.md.
 
+    Torques shake the grasp, too, in steps of an encoder above all. Forces u that balance them at
+    the tips have innovations of their own. The largest of them at any contact is no evidence, as
+    far as it exceeds the usual one: r^T r is less by max(0, r_u^T r_u - 3 s), with the mean s of
+    that power, in which noise of measured torques counts.
+
     With the normal force alone, r is one number, and half of ln rho is subtracted.
 
     Source: Page, Continuous inspection schemes, 1954.
@@ -125,6 +134,7 @@ class SlipDetector:
         self._memory[:] = np.zeros((), _MEMORY)
         self._memory["variance"] = self._noise**2
         self._memory["last"] = self._memory["change"] = np.nan
+        self._memory["pressed"] = self._memory["pressing"] = np.nan
         self._memory["threshold"] = 1.0
         self._freedoms = 2
 
@@ -151,6 +161,7 @@ class SlipDetector:
         fresh: NDArray[np.bool_],
         dt: float,
         freedoms: int = 2,
+        pressed: Array | None = None,
     ) -> NDArray[np.int64]:
         """Return the `ContactState` of each contact after a tick, shape (k,).
 
@@ -163,12 +174,15 @@ class SlipDetector:
             dt: Time since the last tick, s.
             freedoms: Components of a force that are tested: 2 across the internal force, or 1 for
                 normal forces, which must have no internal directions.
+            pressed: Forces of the fingertips that balance the joint torques, palm axes, shape
+                (k, 3), N; None or NaN: unknown.
         """
         if freedoms != self._freedoms:  # a change between three axes and one is no vibration
             self._freedoms = freedoms
             self._memory["last"] = self._memory["change"] = np.nan
+        pressed = np.full_like(forces, np.nan) if pressed is None else pressed
         directions = np.ascontiguousarray(normals), np.ascontiguousarray(internal)
-        _watch(self._memory, self._config, forces, *directions, fresh, dt, freedoms)
+        _watch(self._memory, self._config, forces, *directions, fresh, dt, freedoms, pressed)
         return self.state
 
 
@@ -182,22 +196,31 @@ def _watch(
     fresh: NDArray[np.bool_],
     dt: float,
     freedoms: int,
+    pressed: Array,
 ) -> None:
     """Update the memory of each contact with its force; see `SlipDetector.step`."""
+    shaken = 0.0
     for i in range(len(memory)):
         m, force = memory[i], forces[i]
         m["since"] += dt
         if not math.isfinite(force[0] + force[1] + force[2]):
             m["state"] = ContactState.UNKNOWN
             m["evidence"] = m["touched_for"] = m["slipped_for"] = m["spacing"] = 0.0
-            m["last"][:] = m["change"][:] = np.nan
-            m["rate"][:] = 0.0
+            m["last"][:] = m["change"][:] = m["pressed"][:] = m["pressing"][:] = np.nan
+            m["rate"][:] = m["excess"] = 0.0
             m["agrees"] = False
             continue
         m["touched_for"] += min(dt, LONGEST)
+        if fresh[i]:
+            _shake(m, pressed[i], internal[i])
+        shaken = max(shaken, m["excess"])
+    for i in range(len(memory)):
+        m, force = memory[i], forces[i]
+        if not math.isfinite(force[0] + force[1] + force[2]):
+            continue
         normal = dot(force, normals[i])
         if fresh[i]:
-            _take(m, config[0], force, normal, internal[i], freedoms)
+            _take(m, config[0], force, normal, internal[i], freedoms, shaken)
         elif m["since"] > _SILENCE * m["period"]:
             m["evidence"] = 0.0
             m["agrees"] = False
@@ -205,8 +228,27 @@ def _watch(
 
 
 @compiled
-def _take(m: Row, c: Row, force: Array, normal: float, internal: Array, freedoms: int) -> None:
-    """Test a new sample, and learn the noise from it."""
+def _shake(m: Row, pressed: Array, internal: Array) -> None:
+    """Compare the innovation of the force by the torques with the usual one."""
+    since, q = _spaced(m)
+    now = pressed - m["pressed"]
+    r = _across(now - q * m["pressing"], internal)
+    m["pressed"][:], m["pressing"][:] = pressed, now
+    power = dot(r, r)
+    m["excess"] = 0.0
+    if not math.isfinite(power) or q > _GAP:
+        return
+    m["excess"] = max(0.0, power - _BOUND * m["shaking"])
+    if m["touched_for"] > _SETTLING:
+        power = min(power, _BOUND * m["shaking"])
+    m["shaking"] += _weight(m, since) * (power - m["shaking"])
+
+
+@compiled
+def _take(
+    m: Row, c: Row, force: Array, normal: float, internal: Array, freedoms: int, shaken: float
+) -> None:
+    """Test a new sample, less the power N^2 by torques, and learn the noise from it."""
     r, gain = _innovation(m, force)
     m["agrees"] = False
     if gain == 0.0:
@@ -221,7 +263,8 @@ def _take(m: Row, c: Row, force: Array, normal: float, internal: Array, freedoms
     samples = c["false_alarm_time"] / max(m["period"], 1e-6)
     m["threshold"] = max(1.0, _OVERLAP * math.log(samples))
     if m["touched_for"] > _SETTLING:
-        found = 0.5 * (1.0 - 1.0 / _RATIO) * power / noise - 0.5 * freedoms * math.log(_RATIO)
+        beyond = max(0.0, power - shaken) / noise
+        found = 0.5 * (1.0 - 1.0 / _RATIO) * beyond - 0.5 * freedoms * math.log(_RATIO)
         m["agrees"] = found > 0.0
         limit = _SAMPLE_LIMIT * m["threshold"]
         m["evidence"] = min(max(0.0, m["evidence"] + min(found, limit)), m["threshold"] + limit)
@@ -236,11 +279,9 @@ def _innovation(m: Row, force: Array) -> tuple[Array, float]:
 
     A prediction needs three samples without a gap.
     """
-    before, change = m["spacing"], m["change"].copy()
-    since = m["since"] if m["since"] > 0.0 else before  # no time has passed: assume even samples
-    q = since / before if before > 0.0 else 0.0
+    since, q = _spaced(m)
     now = force - m["last"]
-    r = now - q * change
+    r = now - q * m["change"]
     m["last"][:] = force
     m["change"][:] = now
     m["since"] = 0.0
@@ -253,6 +294,14 @@ def _innovation(m: Row, force: Array) -> tuple[Array, float]:
     if since > 0.0:
         m["rate"][:] += -math.expm1(-since / _COURSE) * (now / since - m["rate"])
     return r, (1.0 + (1.0 + q) ** 2 + q * q) if math.isfinite(r[0]) and q > 0.0 else 0.0
+
+
+@compiled
+def _spaced(m: Row) -> tuple[float, float]:
+    """Return the time since the last sample, s, and q; if none has passed, for even samples."""
+    before = m["spacing"]
+    since = m["since"] if m["since"] > 0.0 else before
+    return since, since / before if before > 0.0 else 0.0
 
 
 @compiled
@@ -269,10 +318,15 @@ def _decide(m: Row, normal: float, dt: float) -> None:
 @compiled
 def _learn(m: Row, square: float, unbiased: float) -> None:
     """Follow the noise, quickly after touching; the power of a sample is bounded."""
-    dt = m["spacing"]
-    time = max(min(_LEARNING, m["touched_for"]), 10.0 * dt, 1e-9)
     bounded = min(square, _BOUND * m["variance"])
-    m["variance"] += min(dt / time, 1.0) * (unbiased * bounded - m["variance"])
+    m["variance"] += _weight(m, m["spacing"]) * (unbiased * bounded - m["variance"])
+
+
+@compiled
+def _weight(m: Row, dt: float) -> float:
+    """Return the weight of a sample in what is learned, after the time dt, s."""
+    time = max(min(_LEARNING, float(m["touched_for"])), 10.0 * dt, 1e-9)
+    return min(dt / time, 1.0)
 
 
 @compiled

@@ -35,6 +35,7 @@ class SlipRegulatorConfig(Config):
     """Parameters of the slip-prevention regulator."""
 
     hand: str = param("paper", "hand by name or YAML file")
+    layout: str = param("", "layout of the hand's fingers; empty for its default")
     mode: Literal["user", "shared", "auto"] = param(
         "user",
         "user: requested grasp force, auto: the one that the object requires, shared: the larger",
@@ -188,17 +189,20 @@ class SlipRegulator:
             )
         self.goal, self._raised = grasp_force, 0.0
 
-    def step(self, stamp: int, contacts: Contacts, forces: Array) -> float:
+    def step(
+        self, stamp: int, contacts: Contacts, forces: Array, pressed: Array | None = None
+    ) -> float:
         """Return k_f at a tick, ns, in N; the same tick again has no effect.
 
         Contacts are those by touch, and their measured forces in contact frames, (k, 3), N.
+        `pressed` are the forces by the joint torques, see `SlipDetector.step`.
         """
         dt = 0.0 if self._last_stamp is None else max(0.0, 1e-9 * (stamp - self._last_stamp))
         if self._last_stamp == stamp:
             return self.grasp_force
         self._last_stamp = stamp
         self._follow_user(dt)
-        self._follow_touch(stamp, contacts, forces, dt)
+        self._follow_touch(stamp, contacts, forces, pressed, dt)
         c = self.config
         goal = self._asked
         if c.mode != "user":
@@ -215,7 +219,9 @@ class SlipRegulator:
         arrives = abs(rate * dt) >= abs(goal - self._asked)
         self._asked = goal if arrives else self._asked + rate * dt
 
-    def _follow_touch(self, stamp: int, contacts: Contacts, measured: Array, dt: float) -> None:
+    def _follow_touch(
+        self, stamp: int, contacts: Contacts, measured: Array, pressed: Array | None, dt: float
+    ) -> None:
         """Update slip, friction and the needed grasp force from touch."""
         if not contacts.touching.any():
             self._estimator.reset()  # the next object may be another one
@@ -239,7 +245,7 @@ class SlipRegulator:
         grasped = self._is_grasped(contacts)
         axes = parts.internal if parts is not None and grasped else normals
         seen = forces if learns else np.full_like(forces, np.nan)
-        slips, slides = self._watch(seen, normals, axes, fresh, dt)
+        slips, slides = self._watch(seen, normals, axes, fresh, pressed, dt)
         self._update_need(contacts, parts, at, dt, grasped)
         if self.config.mode == "user":
             return
@@ -324,14 +330,20 @@ class SlipRegulator:
         return (None if self._grasp is None else parts), normals
 
     def _watch(
-        self, forces: Array, normals: Array, axes: Array, fresh: NDArray[np.bool_], dt: float
+        self,
+        forces: Array,
+        normals: Array,
+        axes: Array,
+        fresh: NDArray[np.bool_],
+        pressed: Array | None,
+        dt: float,
     ) -> tuple[bool, bool]:
         """Update slip and friction; return whether a contact slips, and its newest sample slips.
 
         The axes are the directions of the internal forces, shape (k, 3).
         """
         detector = self._detector
-        state = detector.step(forces, normals, axes, fresh, dt)
+        state = detector.step(forces, normals, axes, fresh, dt, pressed=pressed)
         agrees, suspected = detector.agrees, detector.likelihood > 0.0
         self._estimator.step(forces, normals, state, suspected, agrees, fresh, dt)
         slips = state == ContactState.SLIP

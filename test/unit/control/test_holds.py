@@ -25,10 +25,9 @@ from tactile_hand_ros.control.holds import (
     joint_torque,
     spring,
     stiffest,
-    tip_forces,
 )
 from tactile_hand_ros.control.slip.detector import ContactState
-from tactile_hand_ros.hand.hand import Hand
+from tactile_hand_ros.hand.hand import Hand, tip_forces
 from tactile_hand_ros.rotations import rotation_from_vector
 from tactile_hand_ros.scenario.scenario import load_scenario
 from tactile_hand_ros.simulation.plant import Plant
@@ -340,10 +339,16 @@ def test_a_heavy_object_and_a_delay_of_two_milliseconds_need_no_more_force(rate,
     assert loop.loop.state.slid.max() < 1e-4
 
 
-def test_gains_that_fit_a_heavy_hand_shake_no_tip_as_a_slip_would():
+@pytest.mark.parametrize(
+    ("bits", "gains", "latency"), [(12, "given", 0.005), (12, "fitted", 0.0), (14, "fitted", 0.0)]
+)
+def test_steps_of_the_encoders_in_the_torques_are_no_slip(bits, gains, latency):
     """A sudden pull moves the joints, and so the steps of their angles into the torques."""
-    changes = {"plant.encoder.bits": 20, "seed": 2, "duration": 2.5}
-    loop = ClosedLoop(load_scenario("pull", changes | {"manipulation_controller.law.damping": 0.0}))
+    changes = {"plant.encoder.bits": bits, "seed": 5, "duration": 3.0}
+    changes |= {"tactile_sensor.latency": latency}
+    if gains == "fitted":
+        changes |= {"manipulation_controller.law.damping": 0.0}
+    loop = ClosedLoop(load_scenario("pull", changes))
     assert not (loop.run().grip == ContactState.SLIP).any()
 
 
@@ -367,9 +372,6 @@ def test_with_encoders_only_what_moves_the_object_is_damped_as_k_f_needs_it(tmp_
     found = np.sort(bandwidths(most / gains.needed))
     assert found[-7] < 1.001 * quietest.max()
     assert_allclose(found[-6:], most, rtol=1e-6)
-    # Where the skin would feel angle errors, they shake the hand less.
-    gains = fitted_gains(hand, theta, contacts, *how, noise=0.25 * 0.03 * hand.finger_weight)
-    assert_allclose(np.sort(bandwidths(0.0)), 0.5 * quiet, rtol=1e-6)
     # Torques that are two ticks late allow half as much.
     gains = fitted_gains(hand, theta, contacts, *how, 2)
     assert np.sort(bandwidths(1e9))[-6:] == pytest.approx(500.0, rel=1e-6)

@@ -88,6 +88,53 @@ def test_a_longer_time_between_false_alarms_finds_slip_later():
     assert np.mean(later) > 1.0
 
 
+def slipping(jerks, pressed, ticks=500):
+    """Return which of two contacts slips when jerks, (n, 2, 3), N, follow a grasp that sticks.
+
+    The torques press with `pressed`, shape (ticks + n, 2, 3), N; None: unknown.
+    """
+    forces = np.stack([sticking(ticks + len(jerks), seed=seed) for seed in (3, 4)], axis=1)
+    forces[ticks:] += jerks
+    detector, normals, new = SlipDetector(SlipDetectorConfig(), 2), normals_of(2), np.ones(2, bool)
+    found = np.zeros(2, bool)
+    for i, f in enumerate(forces):
+        torques = {} if pressed is None else {"pressed": pressed[i]}
+        found |= detector.step(f, normals, normals, new, DT, **torques) == SLIP
+    return found.tolist()
+
+
+def test_what_the_torques_shake_is_no_slip_at_any_contact():
+    """The object passes on to the second finger what the torques of the first do."""
+    steps = 0.5 * np.random.default_rng(5).standard_normal((40, 3)) * [1.0, 0.0, 1.0]
+    jerks, pressed = 0.7 * np.stack([steps, -0.5 * steps], axis=1), np.zeros((540, 2, 3))
+    pressed[500:, 0] = steps
+    assert slipping(jerks, None) == slipping(jerks, np.full_like(pressed, np.nan)) == [True, True]
+    assert slipping(jerks, pressed) == [False, False]
+    # Along the internal force they change k_f, which shakes nothing across it.
+    assert slipping(jerks, pressed[:, :, [1, 0, 1]]) == [True, True]
+
+
+@pytest.mark.parametrize("unknown", [[], [100, 300]])
+def test_noise_of_measured_torques_hides_no_slip(unknown):
+    pressed = np.random.default_rng(6).standard_normal((515, 2, 3))
+    pressed[unknown] = np.nan
+    jerks = np.zeros((15, 2, 3))
+    jerks[:, 1] = 0.3 * np.random.default_rng(7).standard_normal((15, 3))
+    assert slipping(jerks, pressed) == [False, True]
+
+
+def test_a_finger_that_has_let_go_excuses_no_other():
+    detector, normals, new = SlipDetector(SlipDetectorConfig(), 2), normals_of(2), np.ones(2, bool)
+    forces = np.stack([sticking(520, seed=3), slips_once()], axis=1)
+    forces[499:, 0], pressed = np.nan, np.zeros((520, 2, 3))
+    pressed[498, 0] = 5.0
+    told = [
+        detector.step(f, normals, normals, new, DT, pressed=p)
+        for f, p in zip(forces, pressed, strict=True)
+    ]
+    assert SLIP in np.array(told)[:, 1]
+
+
 @pytest.mark.parametrize("rate", [250.0, 500.0, 1000.0, 2000.0])
 def test_sliding_is_found_within_eight_samples_at_any_rate(rate):
     told = run(slips_once(), dt=1.0 / rate)
