@@ -273,7 +273,8 @@ class FaultyLoop(GuardedLoop):
             self.chain.plugged.block = Controller(loop.scenario.manipulation_controller)
         elif cell.component == space.REGULATOR:
             regulator: Any = self.chain.regulator
-            regulator.block = SlipRegulator(loop.scenario.slip_regulator, loop.plant.hand.fingers)
+            how, hand = loop.scenario.slip_regulator, loop.plant.hand
+            regulator.block = SlipRegulator(how, hand.fingers, hand.finger_weight)
         self.chain.pass_back()
 
 

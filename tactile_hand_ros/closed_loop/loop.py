@@ -110,7 +110,7 @@ class ClosedLoop:
         self.plant = make_plant(scenario.plant)
         hand = self.plant.model  # the nominal one, which the controllers know
         self.chain = SensingChain(
-            SlipRegulator(scenario.slip_regulator, hand.fingers),
+            SlipRegulator(scenario.slip_regulator, hand.fingers, hand.finger_weight),
             ForceOptimizer(scenario.force_optimizer, hand.fingers),
             Controller(scenario.manipulation_controller),
             TactileSensor(scenario.tactile_sensor, hand.radii, hand),

@@ -16,7 +16,6 @@ from tactile_hand_ros.config.plain_yaml import read_text
 from tactile_hand_ros.errors import ConfigurationError, HandModelError
 from tactile_hand_ros.hand.extract import cut_at_palm, moved_links, place_joint, take_hand
 
-_GRAVITY = 9.81  # m/s^2
 _MAX_LINKS = 500
 _LARGEST_NUMBER = 1e6  # in SI units; far above any hand, far below overflow
 _PRINTED = 0.01  # of the largest moment: rounding in a URDF
@@ -71,15 +70,6 @@ def read_urdf(path: Path, palm: str = "", *, any_inertia: bool = False) -> Eleme
         cut_at_palm(root, palm, path.name)
     _check_numbers(root, path.name, any_inertia)
     return root
-
-
-def finger_weight(config: HandConfig) -> float:
-    """Return the weight of a hand without its palm per finger, N, without loading Pinocchio."""
-    root = ElementTree.fromstring(describe(config)[0])
-    links = (link for link in root.findall("link") if link.get("name") != config.palm)
-    masses = (link.find("inertial/mass") for link in links)
-    total = sum(float(mass.get("value", 0.0)) for mass in masses if mass is not None)
-    return _GRAVITY * total / len(config.fingers)
 
 
 def _parsed(path: Path) -> Element:

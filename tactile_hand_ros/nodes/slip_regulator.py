@@ -172,7 +172,7 @@ class SlipRegulatorNode(TactileNode[SlipRegulatorConfig]):
         super().__init__("slip_regulator", SlipRegulatorConfig, **kwargs)
         self._hand = Hand.load(self.config.hand, self.config.layout)
         fingers = self._fingers = self._hand.finger_names
-        self._regulator = SlipRegulator(self.config, len(fingers))
+        self._regulator = SlipRegulator(self.config, len(fingers), self._hand.finger_weight)
         self._changes = AppliedChanges(self, names.REGULATOR, commands=True)
         self._report = RegulatorReport(self.diagnostics, fingers)
         self._modes = ModeLog(self.get_logger().info)

@@ -124,11 +124,9 @@ class ShadowLoop(Chain):
         self._inputs = inputs
         self._waiting = {node: deque(inputs.changes[node]) for node in CONTROLLERS}
         first = {node: changes.popleft().value for node, changes in self._waiting.items()}
-        blocks: tuple[Any, ...] = (
-            SlipRegulator(first[names.REGULATOR], k),
-            ForceOptimizer(first[names.OPTIMIZER], k),
-            Controller(first[names.CONTROLLER]),
-        )
+        controller = Controller(first[names.CONTROLLER])
+        regulator = SlipRegulator(first[names.REGULATOR], k, controller.hand.finger_weight)
+        blocks: tuple[Any, ...] = regulator, ForceOptimizer(first[names.OPTIMIZER], k), controller
         self._blocks = dict(zip(CONTROLLERS, blocks, strict=True))
         nothing = (
             np.nan,

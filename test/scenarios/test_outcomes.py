@@ -9,10 +9,9 @@ from support.outcomes import can_be_held, run_scenario
 
 from studies.slip.minimum import minimum_against
 from studies.slip.study import SLIDING
-from tactile_hand_ros.config.hand_config import load_hand_config
 from tactile_hand_ros.control.contact import Contacts
 from tactile_hand_ros.control.slip.detector import ContactState
-from tactile_hand_ros.hand.urdf import finger_weight
+from tactile_hand_ros.hand.hand import Hand
 from tactile_hand_ros.run.derived import rotation_error
 from tactile_hand_ros.scenario.scenario import load_scenario
 from tactile_hand_ros.simulation.plant_config import external_wrench
@@ -65,8 +64,7 @@ def excess_force(record, name):
     scenario = load_scenario(name, changes_of(name))
     assert not (record.true_sliding[-200:] > SLIDING).any()  # else it would not hold
     pressed = record.true_forces[-200:, :, 1].sum(axis=1).mean()
-    weight = finger_weight(load_hand_config(scenario.hand))
-    floor = weight * scenario.slip_regulator.reserve.floor
+    floor = Hand.load(scenario.hand).finger_weight * scenario.slip_regulator.reserve.floor
     pushes = floor * np.vstack([np.eye(3), -np.eye(3)])
     return pressed / max(ready_force(record, scenario, push) for push in pushes)
 

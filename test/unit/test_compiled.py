@@ -106,7 +106,7 @@ from tactile_hand_ros.control.contact import example_touch
 from tactile_hand_ros.control.slip.regulator import SlipRegulator, SlipRegulatorConfig
 
 contacts, normal = example_touch(4)
-regulator = SlipRegulator(SlipRegulatorConfig(mode="auto", maximum=500.0), 4)
+regulator = SlipRegulator(SlipRegulatorConfig(mode="auto", maximum=500.0), 4, 4.905)
 random = np.random.default_rng(1)
 out = []
 for i in range(600):

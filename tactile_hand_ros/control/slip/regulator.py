@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from pydantic import model_validator
 
 from tactile_hand_ros.compiled import Array, Rows
-from tactile_hand_ros.config.hand_config import load_hand_config
 from tactile_hand_ros.config.model import Config, param
 from tactile_hand_ros.control.contact import Contacts, in_contacts, in_palm
 from tactile_hand_ros.control.loads import CarriedLoad, ReserveConfig, Split, split_part
@@ -23,7 +22,6 @@ from tactile_hand_ros.control.slip.grasp_force import (
     SlipResponseConfig,
 )
 from tactile_hand_ros.errors import MessageError
-from tactile_hand_ros.hand.urdf import finger_weight
 
 _AGE = 20_000_000  # ns; a restored estimate is at least this old, and at most twice
 _LANDING = 0.05  # s, time constant of the approach to the user's grasp force
@@ -86,13 +84,12 @@ class SlipRegulator:
         carried: Load, usable friction and reserve behind both, for f*.
     """
 
-    def __init__(self, config: SlipRegulatorConfig, fingers: int) -> None:
-        """Start at the configured grasp force of a hand with k fingers."""
+    def __init__(self, config: SlipRegulatorConfig, fingers: int, finger_weight: float) -> None:
+        """Start at the configured grasp force of k fingers, each of a weight in N."""
         self.config, self._fingers = config, fingers
         self._detector = SlipDetector(config.detector, fingers)
         self._estimator = FrictionEstimator(config.friction, fingers)
-        weight = finger_weight(load_hand_config(config.hand))
-        self._required = RequiredGraspForce(config.reserve, fingers, weight)
+        self._required = RequiredGraspForce(config.reserve, fingers, finger_weight)
         self._response = SlipResponse(config.reflex, config.grasp_force)
         self._rejected, self._held = np.zeros(fingers, dtype=bool), False
         self.reset()

@@ -175,11 +175,9 @@ HIDDEN = {
 
 def replay(scenario, seen):
     """Return the torques of the controller blocks for recorded joints and touch."""
-    chain = Chain(
-        SlipRegulator(scenario.slip_regulator, 3),
-        ForceOptimizer(scenario.force_optimizer, 3),
-        Controller(scenario.manipulation_controller),
-    )
+    controller = Controller(scenario.manipulation_controller)
+    regulator = SlipRegulator(scenario.slip_regulator, 3, controller.hand.finger_weight)
+    chain = Chain(regulator, ForceOptimizer(scenario.force_optimizer, 3), controller)
     for wish in scenario.targets:
         chain.controller.targets.command(wish.target(), wish.stamp)
     contacts = map(Contacts.from_poses, seen.contact_positions, seen.contact_quaternions)

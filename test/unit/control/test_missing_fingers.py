@@ -129,7 +129,7 @@ def test_f_star_is_that_of_a_hand_with_just_the_fingers_that_touch(fingers, with
 
 def test_the_grasp_force_stays_where_the_others_need_no_more():
     """Two fingers carry nearly all of the load; one of the other two opens."""
-    regulator = SlipRegulator(SlipRegulatorConfig(mode="auto"), 4)
+    regulator = SlipRegulator(SlipRegulatorConfig(mode="auto"), 4, 4.905)
     forces = np.array([[0.0, x, 0.0] for x in (4.0, 0.2, 4.0, 0.2)])
     for tick in range(300):
         contacts = ring(4, [3] if tick >= 200 else [])
@@ -145,7 +145,7 @@ def test_the_grasp_force_stays_where_the_others_need_no_more():
 def test_a_contact_that_flickers_leaves_the_others_their_reserve(every):
     k_f = {}
     for flickers in (False, True):
-        regulator = SlipRegulator(SlipRegulatorConfig(mode="auto"), 4)
+        regulator = SlipRegulator(SlipRegulatorConfig(mode="auto"), 4, 4.905)
         for tick in range(2000):
             lost = flickers and tick % every == 0
             noise = 1e-3 * np.sin(tick + np.arange(12.0)).reshape(4, 3)

@@ -6,10 +6,10 @@ import xml.etree.ElementTree as ElementTree
 import numpy as np
 import pytest
 
-from tactile_hand_ros.config.hand_config import HandConfig, MountConfig, load_hand_config
+from tactile_hand_ros.config.hand_config import HandConfig, MountConfig
 from tactile_hand_ros.errors import HandModelError
 from tactile_hand_ros.hand.hand import Hand
-from tactile_hand_ros.hand.urdf import describe, finger_weight, read_urdf
+from tactile_hand_ros.hand.urdf import describe, read_urdf
 
 MOMENTS = {"ixx": 2.0, "iyy": 3.0, "izz": 4.0, "ixy": 0.5, "ixz": -0.4, "iyz": 0.3}
 
@@ -123,6 +123,6 @@ def test_a_layout_moves_the_joints_that_it_names_and_no_others(tmp_path):
 
 @pytest.mark.parametrize(("name", "weight"), [("paper", 9.81 * 0.5), ("human", 9.81 * 0.06)])
 def test_a_finger_weighs_what_its_links_weigh_without_the_palm(name, weight):
-    assert finger_weight(load_hand_config(name)) == pytest.approx(weight)
     hand = Hand.load(name)
+    assert hand.finger_weight == pytest.approx(weight)
     assert hand.minimum_force == pytest.approx(0.01 * weight)

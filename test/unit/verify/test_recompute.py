@@ -99,8 +99,8 @@ def test_the_regulator_feels_also_the_ticks_that_it_was_too_slow_to_answer(gravi
 def without_touch(scenario: Scenario, record: Record, held: tuple, silent: tuple) -> Record:
     """Return a run without the forces of some ticks, during which it held or did not answer."""
     out = copy.deepcopy(record)
-    regulator = SlipRegulator(scenario.slip_regulator, 3)
     controller = Controller(scenario.manipulation_controller)
+    regulator = SlipRegulator(scenario.slip_regulator, 3, controller.hand.finger_weight)
     for target in scenario.targets:
         controller.targets.command(target.target(), target.stamp)
     answers = ("forces", "grasp_force", "friction", "slip_evidence", "grip", "command")

@@ -7,17 +7,16 @@ from support.grasps import balance_in_frames, contacts_at, moved, three_faces
 from support.plants import plant
 
 from studies.invariance import orientations
-from tactile_hand_ros.config.hand_config import load_hand_config
 from tactile_hand_ros.control.contact import Contacts, contact_frame, in_palm
 from tactile_hand_ros.control.loads import split
 from tactile_hand_ros.control.slip.detector import ContactState
 from tactile_hand_ros.control.slip.regulator import SlipRegulator, SlipRegulatorConfig
 from tactile_hand_ros.errors import ConfigurationError, MessageError
-from tactile_hand_ros.hand.urdf import finger_weight
 from tactile_hand_ros.rotations import rotation_from_vector
 
 UNKNOWN, STICK, SLIP = ContactState.UNKNOWN, ContactState.STICK, ContactState.SLIP
 TICK = 2_000_000
+WEIGHT = 4.905  # of a finger of the paper's hand, N
 ALL = np.ones(3, dtype=bool)
 NO_TOUCH = three_faces().without(ALL), np.zeros((3, 3))
 NO_RESERVE = {"floor": 0.0, "fraction": 0.0}
@@ -25,7 +24,7 @@ ON_A_LINE = np.array([[0.0, 2.0, 0.0], [0.0, 2.0, 0.0], [0.0, 4.0, 0.0]])  # for
 
 
 def regulator(**values):
-    return SlipRegulator(SlipRegulatorConfig(**values), 3)
+    return SlipRegulator(SlipRegulatorConfig(**values), 3, WEIGHT)
 
 
 def grasp_forces(slip, ticks, *seen, start=0):
@@ -234,9 +233,8 @@ def test_what_is_carried_is_the_load_in_contact_frames_usable_friction_and_a_res
     expected = (np.linalg.pinv(balance) @ balance @ FORCES.ravel()).reshape(-1, 3)
     np.testing.assert_allclose(found.load, expected, atol=1e-12)
     np.testing.assert_allclose(found.friction, slip.learned_friction / 1.25)
-    floor = 0.6 * finger_weight(load_hand_config("paper")) / 3.0
     largest = 0.5 * np.linalg.norm(expected, axis=1)
-    np.testing.assert_allclose(found.reserve, np.maximum(floor, largest))
+    np.testing.assert_allclose(found.reserve, np.maximum(0.6 * WEIGHT / 3.0, largest))
 
 
 @pytest.mark.parametrize(
