@@ -17,8 +17,9 @@ import numpy as np
 from tactile_hand_ros.compiled import Array
 from tactile_hand_ros.config.model import Config, param
 from tactile_hand_ros.control.contact import Contacts
-from tactile_hand_ros.control.holds import GraspTorque, GuardHold, GuardHoldConfig, buckling_rate
+from tactile_hand_ros.control.holds import GraspTorque, GuardHold, GuardHoldConfig
 from tactile_hand_ros.control.sensing import JointRates
+from tactile_hand_ros.control.stability import buckling_rate
 from tactile_hand_ros.hand.hand import Dynamics, Hand, tip_forces
 
 NO_COMMAND = "no command yet"

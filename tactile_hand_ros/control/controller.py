@@ -17,13 +17,10 @@ from tactile_hand_ros.control.contact import Contacts, all_finite, in_palm
 from tactile_hand_ros.control.grasp import carried_along
 from tactile_hand_ros.control.holds import (
     GraspTorque,
-    buckling_rate,
-    fitted_gains,
-    kept_contacts,
-    motions_of_object,
-    required_bandwidth,
+    Held,
+    PostureHold,
+    PostureHoldConfig,
     spring,
-    stiffest,
 )
 from tactile_hand_ros.control.laws import (
     AuxiliaryPose,
@@ -33,7 +30,6 @@ from tactile_hand_ros.control.laws import (
     ManipulationLaw,
     NormalForceControl,
     Target,
-    bearable_fraction,
 )
 from tactile_hand_ros.control.plausibility import (
     InputCheck,
@@ -43,6 +39,13 @@ from tactile_hand_ros.control.plausibility import (
 from tactile_hand_ros.control.reach import end_of, room
 from tactile_hand_ros.control.regrasp import Regrasp, RegraspConfig
 from tactile_hand_ros.control.sensing import JointRates, LateTouch, TorqueDelay, UnfeltTouch
+from tactile_hand_ros.control.stability import (
+    buckling_rate,
+    fitted_gains,
+    kept_contacts,
+    motions_of_object,
+    required_bandwidth,
+)
 from tactile_hand_ros.control.targets import Grasp, SmoothReference, TargetQueue
 from tactile_hand_ros.errors import GraspError
 from tactile_hand_ros.hand.hand import Fingertips, Hand
@@ -70,15 +73,6 @@ FEWEST_MOTIONS = 3
 
 LEAST_ROOM = 0.1
 """Fraction of the way to a rim or the end of a joint that a move must leave."""
-
-
-class PostureHoldConfig(Config):
-    """Delay and resolution of the joints; with the tick period they limit stiffness and damping."""
-
-    latency: int = param(3, "largest delay of a torque", unit="ticks", live=True, ge=0, le=100)
-    resolution: float = param(
-        0.0, "error of a measured joint angle, 0 if exact", unit="rad", live=True, ge=0.0, le=0.1
-    )
 
 
 class ControllerConfig(Config):
@@ -147,17 +141,6 @@ class Mode(enum.Enum):
     HOLD = "hold"
     OPEN = "open"
     DISABLED = "disabled"
-
-
-class Held(NamedTuple):
-    """Torques of the last good tick, which a hold keeps: internal force and load, (m,), N m.
-
-    `grasp_force` is the k_f of that internal force, N; 0 if unknown.
-    """
-
-    internal: GraspTorque
-    load: Array
-    grasp_force: float = 0.0
 
 
 class Command(NamedTuple):
@@ -229,6 +212,7 @@ class Controller:
         self._reference = SmoothReference()
         self._rates = JointRates(self.hand.joints)
         self._regrasp = Regrasp(config.regrasp, self.hand)
+        self._hold = PostureHold(config.hold, self.hand, _FIRST_PERIOD)
         self._none = np.zeros(self.hand.joints)
         self.enabled = True
         self.joints_held = False
@@ -242,7 +226,7 @@ class Controller:
         """Change the parameters while running; `hand` and `layout` stay."""
         if config.hold.latency != self.config.hold.latency:
             self._delay = TorqueDelay(config.hold.latency, self.hand.joints)
-        self.config = config
+        self.config, self._hold.config = config, config.hold
         self._law.configure(config.law)
         self._fitted_to = (0.0, 0)  # fit gains again
         self.warning, self._required = "", None
@@ -263,14 +247,13 @@ class Controller:
         self._rates.reset()
         self.targets.reset()
         self._mode = Mode.NO_GRASP
-        self._held: Held | None = None  # unknown
-        self._posture = np.zeros(self.hand.joints)  # of the hold
         self._delay = TorqueDelay(self.config.hold.latency, self.hand.joints)
         self._sent = self._none  # at the last tick, N m
         self._last_torque: Array | None = None  # of the law, one tick ago
         self._last_stamp: int | None = None
         self._intervals = deque[float](maxlen=_INTERVALS)  # s between the last ticks
         self._period = _FIRST_PERIOD  # of the ticks, s
+        self._hold.reset(self._period)
         self._accept_inputs()
 
     def _hold_with(self, touching: NDArray[np.bool_]) -> None:
@@ -306,13 +289,12 @@ class Controller:
         if mode is not Mode.DRIVE:
             self._reference.reset()
             if not is_kept:
-                self._posture = theta.copy()
+                self._hold.posture = theta.copy()
         if mode in (Mode.OPEN, Mode.DISABLED):
             self._accept_inputs()
-            self._held = Held(GraspTorque(self._none[:0], self._none), self._none)
-        elif mode is Mode.HOLD and self._held is not None:
-            internal = GraspTorque.of(self.hand.fingertips(theta), self._held.internal.load)
-            self._held = self._held._replace(internal=internal)
+            self._hold.release()
+        elif mode is Mode.HOLD:
+            self._hold.engage(theta)
 
     def turn_palm(self, orientation: Array) -> None:
         """Turn gravity with the palm, whose quaternion (x, y, z, w) in the world is given."""
@@ -470,7 +452,7 @@ class Controller:
         parts = self._law_torque(*self._acting(now, tips), wanted)
         self._enter(Mode.DRIVE, now.theta)
         internal = GraspTorque(self._none[:0], parts.internal)  # a hold will split it
-        self._held = Held(internal, parts.load_compensation, now.grasp_force)
+        self._hold.held = Held(internal, parts.load_compensation, now.grasp_force)
         if now.elapsed > 0.0:  # the tick rate has been measured
             self._judge_hold(now)
         torque = self._sent = parts.within(self.hand.effort_limits, self._weight(now.theta))
@@ -539,7 +521,8 @@ class Controller:
         """Hold with the fingers in a mask of shape (k,); the torque of the law does not jump."""
         if (touching != self._touching).any():
             closed = self.hand.moves[touching & ~self._touching].any(axis=0)
-            self._posture = np.where(closed, theta, self._posture)  # where they touch again
+            kept = self._hold.posture
+            self._hold.posture = np.where(closed, theta, kept)  # where they touch again
             self._hold_with(touching)
             self._law.change_fingers()
             if self.config.law.name == "grip":
@@ -560,7 +543,7 @@ class Controller:
         lever = max(speed / hand.velocity_limits.min(), _SHORTEST_LEVER)
         normal = jacobian @ jacobian.T + lever**2 * np.eye(len(jacobian))
         wanted = jacobian.T @ np.linalg.solve(normal, (speed * away / distances).ravel())
-        w, still = self._stiffest(inertia), np.zeros(hand.joints)
+        w, still = self._hold.bandwidth(inertia), np.zeros(hand.joints)
         closing = bias + spring(inertia, w, still, wanted - rates)
         limits = hand.effort_limits
         return np.where(jacobian.any(axis=0), np.clip(closing, -limits, limits), torque)
@@ -650,39 +633,14 @@ class Controller:
         grasp_force: float = 0.0,
         applied: Array | None = None,
     ) -> Command:
-        """Hold posture and last good grasp force; see `hold`.
-
-        Before its first grasp a controller keeps the torque that acts on the joints. Another
-        controller may have crashed with the object in the hand.
-        """
+        """Hold posture and last good grasp force; see `hold`."""
         if not self.enabled:
             return self._disabled(theta, rates)
         self._enter(Mode.HOLD, theta)
-        tips = self.hand.fingertips(theta)
-        held = self._kept(tips, theta, applied, grasp_force)
-        rest = held.load + self._spring(theta, rates) + self._weight(theta)
-        internal = held.internal.at(tips, 1.0)
-        fraction = bearable_fraction(internal, rest, self.hand.effort_limits)
-        return Command(fraction * internal + rest, Mode.HOLD, None, reason)
-
-    def _kept(
-        self, tips: Fingertips, theta: Array, applied: Array | None, grasp_force: float
-    ) -> Held:
-        """Return the torques to keep: those since the last tick, or raised for a larger k_f, N."""
-        if self._held is None:
-            if applied is None or not applied.any() or not all_finite(applied):
-                return Held(GraspTorque.of(tips, self._none), self._none)  # still unknown
-            self._held = Held(GraspTorque.of(tips, applied - self._weight(theta)), self._none)
-        internal, load, before = self._held
-        risen = min(grasp_force, self.config.grasp_force_limit or math.inf)
-        if 0.0 < before < risen and grasp_force < math.inf:
-            self._held = Held(internal.scaled(risen / before), load, risen)
-        return self._held
-
-    def _spring(self, theta: Array, rates: Array) -> Array:
-        """Return the torque that brings the joints back to the held posture, (m,), N m."""
-        inertia = self.hand.dynamics(theta, rates).inertia
-        return spring(inertia, self._stiffest(inertia), self._posture - theta, -rates)
+        limit, weight = self.config.grasp_force_limit or math.inf, self._weight(theta)
+        risen = min(grasp_force, limit) if math.isfinite(grasp_force) else 0.0
+        torque = self._hold.step(theta, rates, weight, applied, risen)
+        return Command(torque, Mode.HOLD, None, reason)
 
     def _keeping(self, parts: LawTorque, theta: Array, rates: Array, dt: float) -> LawTorque:
         """Replace drive and damping of a law by the spring that keeps the posture.
@@ -691,7 +649,8 @@ class Controller:
         contacts: they do not change the grasp force, which the normal forces control.
         """
         inertia, c = self.hand.dynamics(theta, rates).inertia, self.config.law
-        w, away, still = self._stiffest(inertia), self._posture - theta, np.zeros(len(theta))
+        w, away = self._hold.bandwidth(inertia), self._hold.posture - theta
+        still = np.zeros(len(theta))
         if c.name == "grip" and c.integral.time > 0.0 and not self.joints_held:
             pulled = spring(inertia, w, self._free @ away, still)
             carried = self._carried + dt / c.integral.time * (self._free @ pulled)
@@ -699,16 +658,6 @@ class Controller:
         load = parts.load_compensation + self._carried
         held = spring(inertia, w, away, -rates)
         return parts._replace(drive=held, damping=still, load_compensation=load)
-
-    def _stiffest(self, inertia: Array) -> float:
-        """Return the bandwidth of the hold, rad/s."""
-        how = self._period, self._hold_delay, self.config.hold.resolution
-        return stiffest(self.hand, inertia, *how)
-
-    @property
-    def _hold_delay(self) -> float:
-        """How late the torques of a hold act, s; half a tick, as they last for one, and more."""
-        return (0.5 + self.config.hold.latency) * self._period
 
     def _fit(self, now: _Tick) -> None:
         """Fit the gains that are not given to the hand, to the rate and delay of its torques.
@@ -743,7 +692,7 @@ class Controller:
     def _keep_posture(self, keeps: bool, theta: Array) -> None:
         """Keep the present posture, shape (m,), rad, unless one is kept already."""
         if keeps and not self._keeps_posture:
-            self._posture = theta.copy()
+            self._hold.posture = theta.copy()
         self._keeps_posture = keeps
 
     def _judge_hold(self, now: _Tick) -> None:
@@ -754,7 +703,8 @@ class Controller:
             forces = in_palm(now.contacts.rotations, now.optimal_forces, 1.0)
             buckling = buckling_rate(self._fingers, now.theta, now.contacts, forces)
             inertia = self.hand.dynamics(now.theta, self._none).inertia
-            self._required = required_bandwidth(buckling, self._hold_delay), self._stiffest(inertia)
+            has = self._hold.bandwidth(inertia)
+            self._required = required_bandwidth(buckling, self._hold.delay), has
         required, has = now.grasp_force * self._required[0], self._required[1]
         if required > has:
             rate = 1.0 / self._period
@@ -785,8 +735,8 @@ class Controller:
     def _disabled(self, theta: Array, rates: Array) -> Command:
         self._enter(Mode.DISABLED, theta)
         self._regrasp.follow(theta)
-        self._posture, damping = theta, self.config.law.damping
-        torque = -damping * rates if damping > 0.0 else self._spring(theta, rates)
+        self._hold.posture, damping = theta, self.config.law.damping
+        torque = -damping * rates if damping > 0.0 else self._hold.spring(theta, rates)
         torque = torque + self._weight(theta)
         return Command(torque, Mode.DISABLED, None, "disabled by the user")
 
@@ -819,8 +769,8 @@ class Controller:
 
     def _open(self, theta: Array, rates: Array, contacts: Contacts, dt: float) -> Command:
         self._enter(Mode.OPEN, theta)
-        self._posture = self._regrasp.posture(contacts, dt)
-        torque = self._spring(theta, rates) + self._weight(theta)
+        self._hold.posture = self._regrasp.posture(contacts, dt)
+        torque = self._hold.spring(theta, rates) + self._weight(theta)
         reason = self._regrasp.missed or "released by the user"
         return Command(torque, Mode.OPEN, None, reason)
 
@@ -831,7 +781,7 @@ class Controller:
             return 0.0
         passed = 1e-9 * (stamp - before)
         self._intervals.append(passed)
-        self._period = sorted(self._intervals)[len(self._intervals) // 4]
+        self._period = self._hold.period = sorted(self._intervals)[len(self._intervals) // 4]
         continues = self._mode is (Mode.OPEN if self._regrasp.active else Mode.DRIVE)
         return min(passed, _LONGEST_GAP) if continues else 0.0
 

@@ -4,10 +4,8 @@
 Both keep the torque of the contacts and add a spring and a damper in proportion to the inertia,
 M_h (w^2 e + 2 w e'), with e = posture to hold - theta. See docs/explanation/safe-hold.md.
 
-Under constant forces a grasp buckles: along motions N of joints and object that keep the contacts
-(rolling, A1), its geometric stiffness K_geo = d(J_h^T f) - d(G f) may be negative, and a deviation
-grows with e^(p t), p^2 = max(-N^T K_geo N / N^T M_h N). So the internal forces turn with the
-fingers, see `GraspTorque`. See `required_bandwidth` for how late they may do so.
+Under constant forces a grasp buckles, so the internal forces turn with the fingers, see
+`GraspTorque`. See `stability.required_bandwidth` for how late they may do so.
 
 The delay d of the spring limits w: its loop (w^2 + 2 w s) / s^2 crosses over at 2.06 w with a phase
 margin of 1.33 rad, which the delay lowers by 2.06 w d. See `stiffest`.
@@ -31,22 +29,15 @@ import numpy as np
 
 from tactile_hand_ros.compiled import Array, compiled
 from tactile_hand_ros.config.model import Config, param
-from tactile_hand_ros.control.contact import Contacts, hand_jacobian, joint_torques
-from tactile_hand_ros.control.grasp import centered, grasp_map
-from tactile_hand_ros.control.laws import FittedGains
+from tactile_hand_ros.control.contact import all_finite, joint_torques
+from tactile_hand_ros.control.laws import bearable_fraction
 from tactile_hand_ros.hand.hand import Dynamics, Fingertips, Hand, least_squares, tip_forces
 from tactile_hand_ros.rotations import dot
 
 _PHASE = 0.5  # w d: leaves 17 degrees of phase at the longest delay, 47 at half of it
-_DAMPING_PHASE = 1.25  # w d of damping alone: leaves 18 degrees
-_POSE_PHASE = 0.25  # of the stiffness, by age of touch and object; fraction of damping lost to age
 _SHAKE = 0.03  # of a finger's weight, by angle errors; the grasp force has 0.6 in reserve
-_MARGIN = 1.5  # of the damping over what late forces cost
 _MAX_OFFSET, _MAX_RATE = np.pi, 1e3  # rad and rad/s; keep the torque finite
-_OBSERVES = 3.0  # w times T of the load observer; one twice as fast feeds back encoder noise
-_MASS = 1.5 / 9.81  # kg per N of load; objects reach beyond their contacts
-_STEP = 1e-5  # of finite differences, rad
-_INDEPENDENT = 1e-9  # of the largest singular value; smaller ones are rounding
+_SHORTEST = 1e-9  # m, keeps the direction between two tips regular
 
 
 def stiffest(hand: Hand, inertia: Array, tick: float, late: float, error: float) -> float:
@@ -57,11 +48,11 @@ def stiffest(hand: Hand, inertia: Array, tick: float, late: float, error: float)
     """
     if error == 0.0:
         return _PHASE / late
-    quietest = float(_quietest(hand, inertia.diagonal().max(), error))
-    return min(_PHASE / (late + 0.5 * tick), quietest)
+    quiet = float(quiet_bandwidths(hand, inertia.diagonal().max(), error))
+    return min(_PHASE / (late + 0.5 * tick), quiet)
 
 
-def _quietest(hand: Hand, inertia: Array, error: float) -> Array:
+def quiet_bandwidths(hand: Hand, inertia: Array, error: float) -> Array:
     """Return bandwidths w, rad/s, at which angle errors e shake the hand as much as allowed.
 
     Their torque I w^2 e, with inertias I of any shape, kg m^2, may be a fraction of that of a
@@ -79,178 +70,6 @@ def spring(inertia: Array, w: float, away: Array, rates: Array) -> Array:
     away = np.clip(away, -_MAX_OFFSET, _MAX_OFFSET)
     rates = np.clip(rates, -_MAX_RATE, _MAX_RATE)
     return np.asarray(inertia @ (w * w * away + 2.0 * w * rates))
-
-
-def required_bandwidth(buckling: float, late: float) -> float:
-    """Return the smallest w, rad/s, of a hold for a grasp that buckles at p, 1/s, with a margin.
-
-    Forces that turn with the fingers d = `late` s late cost the damping p^2 d of 2 w.
-    """
-    return 0.5 * _MARGIN * buckling**2 * late
-
-
-def buckling_rate(
-    hand: Hand, theta: Array, contacts: Contacts, forces: Array, motions: Array | None = None
-) -> float:
-    """Return the p, 1/s, with which a grasp under constant forces buckles, e^(p t).
-
-    It grows with the square root of the internal forces, (k, 3), N, palm axes. All fingers touch.
-    `motions`, joint rates above twists, shape (m + 6, n), are those in which it may buckle; by
-    default all that keep the contacts.
-    """
-    m, tips = hand.joints, hand.fingertips(theta)
-    motions = _motions(hand, tips, contacts) if motions is None else motions
-    arms = contacts.positions - tips.positions
-    stiffness = np.empty((motions.shape[1],) * 2)
-    for i, motion in enumerate(motions.T):
-        rates, velocity, spin = motion[:m], motion[m : m + 3], motion[m + 3 :]
-        ahead, behind = (hand.fingertips(theta + sign * _STEP * rates) for sign in (1.0, -1.0))
-        rolling = np.cross(spin, arms)
-        missing = np.empty(m + 6)
-        pressing = (joint_torques(each, each.positions + arms, forces) for each in (ahead, behind))
-        missing[:m] = np.subtract(*pressing) / (2.0 * _STEP)
-        missing[:m] += np.einsum("kim,ki->m", tips.angular, np.cross(rolling, forces))
-        moved = tips.linear @ rates + rolling - velocity
-        missing[m : m + 3], missing[m + 3 :] = 0.0, -np.cross(moved, forces).sum(axis=0)
-        stiffness[:, i] = motions.T @ missing
-    joints = motions[:m]
-    inertia = joints.T @ hand.dynamics(theta, np.zeros(m)).inertia @ joints
-    softest = _ratios(0.5 * (stiffness + stiffness.T), inertia)[0].min(initial=np.inf)
-    return math.sqrt(max(0.0, -softest))
-
-
-def fitted_gains(
-    hand: Hand,
-    theta: Array,
-    contacts: Contacts,
-    forces: Array,
-    tick: float,
-    touch: float,
-    follows: float,
-    error: float = 0.0,
-    delay: int = 0,
-) -> FittedGains:
-    """Return gains that fit a hand: the damping K_c = w M_h, or D at the grasp, and K_p.
-
-    Angle errors bound w along each principal axis of M_h; light joints, which alone turn some
-    objects, bear more than heavy ones. Torques that are held for T make fingers oscillate at
-    w = 2 / T. An object adds inertia, so w is at most 1 / T. Torques that are n ticks late cost the
-    phase w (n + 1/2) T of the damping, at most 72 of its 90 degrees. Directions of forces f that
-    are d old cost the damping K_geo d, a fraction of it at w = b^2 d over that fraction, with the
-    rate b of `buckling_rate` at that k_f and the margin. This is w, unless angle errors allow more.
-    Rates that do not move the object are damped as much as angle errors allow.
-
-    The pose is t late, and the object, of inertia m, follows the damping after m / D. Both cost
-    phase of the stiffness, so K_p = p D / (t + m / D), with the m of an object whose weight is the
-    load of `FittedGains.at`, as far from its center as the contacts.
-
-    Args:
-        hand: The hand.
-        theta: Joint angles, shape (m,), rad.
-        contacts: Contacts with the object; all fingers must touch.
-        forces: Internal forces of a k_f of 1 N in palm axes, shape (k, 3), N.
-        tick: T, s.
-        touch: d, age of touch, s.
-        follows: Time constant of the load observer, s; t - d unless coarse encoders need more.
-        error: Largest error of an angle, rad.
-        delay: n, the largest delay of a torque, ticks.
-    """
-    inertia = hand.dynamics(theta, np.zeros(hand.joints)).inertia
-    largest = min(1.0, _DAMPING_PHASE / (delay + 0.5)) / tick
-    inertias, axes = np.linalg.eigh(inertia)
-    bounds = np.minimum(_quietest(hand, inertias, error), largest)
-    quiet = (axes * inertias * bounds) @ axes.T
-    motions = _motions(hand, hand.fingertips(theta), contacts)
-    joints, twists = np.split(motions, [hand.joints])
-    redundant = joints @ _kernel(twists)
-    motions = motions @ _kernel(redundant.T @ inertia @ joints)
-    joints = motions[: hand.joints]
-    quietest, parts = _ratios(joints.T @ quiet @ joints, joints.T @ inertia @ joints)
-    momenta = inertia @ joints @ parts
-    still = np.eye(hand.joints) - joints @ parts @ momenta.T
-    buckling = buckling_rate(hand, theta, contacts, forces, motions)
-    needed = _MARGIN * buckling**2 * touch / _POSE_PHASE
-    wrenches = _rates_of_twists(motions).T @ momenta
-    rest = still.T @ quiet @ still
-    observes = _OBSERVES / quietest.min(initial=largest)
-    lag = (touch + max(follows, observes)) / _POSE_PHASE
-    square = (centered(contacts.positions) ** 2).sum() / hand.fingers
-    body = np.repeat([1.0, square], 3) * _MASS / _POSE_PHASE
-    return FittedGains(rest, momenta, wrenches, quietest, needed, largest, lag, body, observes)
-
-
-def largest_damping(
-    hand: Hand, theta: Array, contacts: Contacts, body: Array, tick: float
-) -> float:
-    """Return the joint damping K_c, N m s/rad, above which a grasp at theta oscillates.
-
-    A torque -K_c theta' that is held for a tick of T s reverses the rates if K_c T / M_h > 2, in
-    motions that keep the contacts. All fingers touch. `body` is the inertia of the object, linear
-    above angular, palm axes, shape (6, 6).
-    """
-    joints, twists = np.split(_motions(hand, hand.fingertips(theta), contacts), [hand.joints])
-    inertia = joints.T @ hand.dynamics(theta, np.zeros(hand.joints)).inertia @ joints
-    inertia += twists.T @ body @ twists
-    return float(2.0 * _ratios(inertia, joints.T @ joints)[0].min(initial=np.inf) / tick)
-
-
-def largest_stiffness(
-    hand: Hand, theta: Array, contacts: Contacts, damping: float, late: float
-) -> tuple[float, float]:
-    """Return k_p, N/m, and k_o, N m/rad, above which the delay of their torque cancels the damping.
-
-    A force -k x that is d s late lowers the damping by k d: k d < D, with the minimum damping D of
-    the grasp at theta in any direction, from K_c in N m s/rad. All fingers touch.
-    """
-    rates = _rates_of_twists(_motions(hand, hand.fingertips(theta), contacts))
-    linear, angular = (np.linalg.svd(part, compute_uv=False)[-1] for part in np.split(rates, 2, 1))
-    return damping * linear**2 / late, 0.5 * damping * angular**2 / late
-
-
-def motions_of_object(hand: Hand, theta: Array, contacts: Contacts) -> int:
-    """Return in how many directions of 6 the joints, at theta, move the object.
-
-    All contacts hold, and all fingers touch.
-    """
-    twists = _motions(hand, hand.fingertips(theta), contacts)[-6:]
-    return int(np.linalg.matrix_rank(twists, tol=_INDEPENDENT)) if twists.size else 0
-
-
-def kept_contacts(hand: Hand, theta: Array, contacts: Contacts) -> Array:
-    """Return the projection, (m, m), of joint rates on those that keep contacts of all fingers."""
-    rates = _motions(hand, hand.fingertips(theta), contacts)[: hand.joints]
-    return np.asarray(rates @ np.linalg.pinv(rates, rcond=_INDEPENDENT))
-
-
-def _rates_of_twists(motions: Array) -> Array:
-    """Return the joint rates of unit twists in motions of joints and object, shape (m, 6)."""
-    return np.asarray(motions[:-6] @ np.linalg.pinv(motions[-6:], rcond=_INDEPENDENT))
-
-
-def _motions(hand: Hand, tips: Fingertips, contacts: Contacts) -> Array:
-    """Return joint rates above twists of the object that keep the contacts, shape (m + 6, n).
-
-    Motions of the object alone, as about the line of two contacts, are left out.
-    """
-    k, axes = hand.fingers, np.tile(np.eye(3), (hand.fingers, 1, 1))
-    jacobian = hand_jacobian(tips, contacts.positions, axes).reshape(3 * k, hand.joints)
-    motions = _kernel(np.hstack([jacobian, -grasp_map(centered(contacts.positions), axes).T]))
-    idle = _kernel(motions[: hand.joints])
-    return motions @ _kernel(idle.T) if idle.size else motions
-
-
-def _kernel(matrix: Array) -> Array:
-    """Return an orthonormal basis of the kernel of a matrix, one vector per column."""
-    _, sizes, basis = np.linalg.svd(matrix)
-    rank = int((sizes > _INDEPENDENT * sizes.max(initial=0.0)).sum())
-    return np.asarray(basis[rank:].T)
-
-
-def _ratios(a: Array, b: Array) -> tuple[Array, Array]:
-    """Return the stationary values of x^T a x / x^T b x, rising, and their x with x^T b x = 1."""
-    root = np.linalg.cholesky(b)
-    values, vectors = np.linalg.eigh(np.linalg.solve(root, np.linalg.solve(root, a).T))
-    return values, np.linalg.solve(root.T, vectors)
 
 
 class GuardHoldConfig(Config):
@@ -324,11 +143,114 @@ def _pulls(positions: Array, tensions: Array) -> Array:
     for i in range(len(positions)):
         for j in range(i + 1, len(positions)):
             along = positions[j] - positions[i]
-            pull = tensions[pair] / max(math.sqrt(dot(along, along)), _INDEPENDENT) * along
+            pull = tensions[pair] / max(math.sqrt(dot(along, along)), _SHORTEST) * along
             forces[i] += pull
             forces[j] -= pull
             pair += 1
     return forces
+
+
+class PostureHoldConfig(Config):
+    """Delay and resolution of the joints; with the tick period they limit stiffness and damping."""
+
+    latency: int = param(3, "largest delay of a torque", unit="ticks", live=True, ge=0, le=100)
+    resolution: float = param(
+        0.0, "error of a measured joint angle, 0 if exact", unit="rad", live=True, ge=0.0, le=0.1
+    )
+
+
+class Held(NamedTuple):
+    """Torques of the last good tick, which a hold keeps: internal force and load, (m,), N m.
+
+    `grasp_force` is the k_f of that internal force, N; 0 if unknown.
+    """
+
+    internal: GraspTorque
+    load: Array
+    grasp_force: float = 0.0
+
+
+class PostureHold:
+    """Keeps posture and grasp force while the law of the controller cannot act.
+
+    The spring is as stiff as the tick period allows.
+
+    Attributes:
+        config: Its parameters, which may change at any time.
+        period: Time between ticks, s.
+        posture: Joint angles to keep, shape (m,), rad.
+        held: Torques to keep; None while unknown.
+    """
+
+    def __init__(self, config: PostureHoldConfig, hand: Hand, period: float) -> None:
+        """Build the hold of a hand."""
+        self.config, self._hand = config, hand
+        self.reset(period)
+
+    def reset(self, period: float) -> None:
+        """Forget what is held; the time between ticks, s, is unknown and assumed."""
+        self.period, self.posture = period, np.zeros(self._hand.joints)
+        self.held: Held | None = None
+
+    @property
+    def delay(self) -> float:
+        """How late its torques act, s; half a tick, as they last for one, and more."""
+        return (0.5 + self.config.latency) * self.period
+
+    def bandwidth(self, inertia: Array) -> float:
+        """Return its bandwidth, rad/s, with an inertia M_h, shape (m, m)."""
+        return stiffest(self._hand, inertia, self.period, self.delay, self.config.resolution)
+
+    def spring(self, theta: Array, rates: Array) -> Array:
+        """Return the torque that brings the joints back to the posture, (m,), N m."""
+        inertia = self._hand.dynamics(theta, rates).inertia
+        return spring(inertia, self.bandwidth(inertia), self.posture - theta, -rates)
+
+    def engage(self, theta: Array) -> None:
+        """Let the internal force turn with the fingers from angles on, shape (m,), rad."""
+        if self.held is not None:
+            internal = GraspTorque.of(self._hand.fingertips(theta), self.held.internal.load)
+            self.held = self.held._replace(internal=internal)
+
+    def release(self) -> None:
+        """Keep no grasp force from now on."""
+        none = np.zeros(self._hand.joints)
+        self.held = Held(GraspTorque(none[:0], none), none)
+
+    def step(
+        self, theta: Array, rates: Array, weight: Array, applied: Array | None, grasp_force: float
+    ) -> Array:
+        """Return the holding torque, shape (m,), N m.
+
+        Before its first grasp a hold keeps the torque that acts on the joints. Another controller
+        may have crashed with the object in the hand.
+
+        Args:
+            theta: Joint angles, shape (m,), rad.
+            rates: Joint rates, shape (m,), rad/s.
+            weight: Torque that carries the links, shape (m,), N m.
+            applied: Torque of the joints since the last tick, shape (m,), N m; None if unknown.
+            grasp_force: k_f, N, with which the held force rises, and never falls; 0 if unknown.
+        """
+        tips = self._hand.fingertips(theta)
+        held = self._kept(tips, weight, applied, grasp_force)
+        rest = held.load + self.spring(theta, rates) + weight
+        internal = held.internal.at(tips, 1.0)
+        return bearable_fraction(internal, rest, self._hand.effort_limits) * internal + rest
+
+    def _kept(
+        self, tips: Fingertips, weight: Array, applied: Array | None, grasp_force: float
+    ) -> Held:
+        """Return the torques to keep: those since the last tick, or raised for a larger k_f, N."""
+        none = np.zeros(self._hand.joints)
+        if self.held is None:
+            if applied is None or not applied.any() or not all_finite(applied):
+                return Held(GraspTorque.of(tips, none), none)  # still unknown
+            self.held = Held(GraspTorque.of(tips, applied - weight), none)
+        internal, load, before = self.held
+        if 0.0 < before < grasp_force:
+            self.held = Held(internal.scaled(grasp_force / before), load, grasp_force)
+        return self.held
 
 
 class GuardHold:

@@ -28,10 +28,10 @@ from tactile_hand_ros.control.contact import (
 )
 from tactile_hand_ros.control.controller import FEWEST_MOTIONS, LEAST_ROOM
 from tactile_hand_ros.control.grasp import check_joints, check_spread, wrench_forces
-from tactile_hand_ros.control.holds import motions_of_object
 from tactile_hand_ros.control.optimizer.force_optimizer import ForceOptimizer, ForceOptimizerConfig
 from tactile_hand_ros.control.reach import end_of, room
 from tactile_hand_ros.control.slip.regulator import SlipRegulatorConfig
+from tactile_hand_ros.control.stability import motions_of_object
 from tactile_hand_ros.errors import GraspError
 from tactile_hand_ros.extras import optional
 from tactile_hand_ros.hand.hand import Hand

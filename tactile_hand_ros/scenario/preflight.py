@@ -11,10 +11,10 @@ from tactile_hand_ros.compiled import Array
 from tactile_hand_ros.control.contact import Contacts, hand_jacobian
 from tactile_hand_ros.control.controller import NO_POSES
 from tactile_hand_ros.control.grasp import VirtualFrame, check_joints, check_spread
-from tactile_hand_ros.control.holds import largest_damping, largest_stiffness
 from tactile_hand_ros.control.laws import LAWS, AuxiliaryPose, LawConfig, LawInput, law_of
 from tactile_hand_ros.control.optimizer.force_optimizer import ForceOptimizer
 from tactile_hand_ros.control.reach import check_reach
+from tactile_hand_ros.control.stability import largest_damping, largest_stiffness
 from tactile_hand_ros.errors import ConfigurationError, GraspError, PoseError, TactileHandError
 from tactile_hand_ros.hand.hand import Hand
 from tactile_hand_ros.scenario.link_collisions import LinkCollisions

@@ -59,7 +59,7 @@ def test_no_other_code_writes_the_grasp_map_or_the_hand_jacobian_again():
     """They would contain skew matrices or cross products of many vectors."""
     allowed = {f"{row[0].strip('`').replace('.', '/')}.py" for row in table("module")}
     allowed |= {"report/scene.py", "simulation/solid.py", "simulation/palm_motion.py"}  # mechanics
-    allowed |= {"control/holds.py"}  # how forces turn with an object: their geometric stiffness
+    allowed |= {"control/stability.py"}  # how forces turn with an object: their geometric stiffness
     allowed |= {"control/laws.py", "control/reach.py"}  # a wrench about another point; rolling
     found = {
         str(path.relative_to(ROOT / PACKAGE))

@@ -7,12 +7,8 @@ import pytest
 from tactile_hand_ros.control import command_guard
 from tactile_hand_ros.control.command_guard import CommandGuard, GuardConfig, TorqueCommand
 from tactile_hand_ros.control.contact import Contacts
-from tactile_hand_ros.control.holds import (
-    GraspTorque,
-    buckling_rate,
-    joint_torque,
-    spring,
-)
+from tactile_hand_ros.control.holds import GraspTorque, joint_torque, spring
+from tactile_hand_ros.control.stability import buckling_rate
 from tactile_hand_ros.hand.hand import Hand
 
 TICK = 2_000_000

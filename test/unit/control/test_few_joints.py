@@ -9,12 +9,12 @@ from support.hands import prism_grasp
 
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
 from tactile_hand_ros.control.grasp import VirtualFrame, grasp_map, wrench_forces
-from tactile_hand_ros.control.holds import buckling_rate, fitted_gains, motions_of_object
 from tactile_hand_ros.control.optimizer.force_optimizer import (
     ForceOptimizer,
     ForceOptimizerConfig,
     Status,
 )
+from tactile_hand_ros.control.stability import buckling_rate, fitted_gains, motions_of_object
 from tactile_hand_ros.errors import PoseError
 from tactile_hand_ros.rotations import rotation_from_vector
 from tactile_hand_ros.scenario.scenario import load_scenario

@@ -9,7 +9,7 @@ from support.equations import grasp_map, hand_jacobian
 from tactile_hand_ros.control.contact import in_palm, joint_torques
 from tactile_hand_ros.control.controller import Mode
 from tactile_hand_ros.control.grasp import carried_along
-from tactile_hand_ros.control.holds import kept_contacts
+from tactile_hand_ros.control.stability import kept_contacts
 from tactile_hand_ros.errors import PoseError
 
 AWAY = np.array([0.01, -0.02, 0.015, 0.0, 0.01, -0.01, 0.02, 0.0, -0.015])  # rad

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from support.plants import pressing, rates_of_twists
 
-from tactile_hand_ros.control.holds import fitted_gains
+from tactile_hand_ros.control.stability import fitted_gains
 from tactile_hand_ros.rotations import cross
 from tactile_hand_ros.scenario.scenario import load_scenario
 from tactile_hand_ros.simulation.plant import Plant

@@ -7,12 +7,14 @@ from support.grasps import balance_in_frames, contacts_at, moved, three_faces
 from support.plants import plant
 
 from studies.invariance import orientations
+from tactile_hand_ros.closed_loop.loop import ClosedLoop
 from tactile_hand_ros.control.contact import Contacts, contact_frame, in_palm
 from tactile_hand_ros.control.loads import split
 from tactile_hand_ros.control.slip.detector import ContactState
 from tactile_hand_ros.control.slip.regulator import SlipRegulator, SlipRegulatorConfig
 from tactile_hand_ros.errors import ConfigurationError, MessageError
 from tactile_hand_ros.rotations import rotation_from_vector
+from tactile_hand_ros.scenario.scenario import load_scenario
 
 UNKNOWN, STICK, SLIP = ContactState.UNKNOWN, ContactState.STICK, ContactState.SLIP
 TICK = 2_000_000
@@ -510,3 +512,22 @@ def test_where_some_fingers_fail_to_measure_three_axes_the_grasp_force_does_not_
     before = slip.grasp_force
     forces[1, ::2] = np.nan
     assert (grasp_forces(slip, 500, three_faces(), forces, start=500) == before).all()
+
+
+@pytest.mark.parametrize(
+    ("bits", "gains", "latency", "seed"),
+    [
+        (12, "given", 0.005, 5),
+        (12, "fitted", 0.0, 5),
+        (14, "fitted", 0.0, 5),
+        (20, "fitted", 0.0, 2),
+    ],
+)
+def test_steps_of_the_encoders_in_the_torques_are_no_slip(bits, gains, latency, seed):
+    """A sudden pull moves the joints, and so the steps of their angles into the torques."""
+    changes = {"plant.encoder.bits": bits, "seed": seed, "duration": 3.0}
+    changes |= {"tactile_sensor.latency": latency}
+    if gains == "fitted":
+        changes |= {"manipulation_controller.law.damping": 0.0}
+    loop = ClosedLoop(load_scenario("pull", changes))
+    assert not (loop.run().grip == ContactState.SLIP).any()
