@@ -10,6 +10,7 @@ from functools import partial
 from bench.result import Measurement
 from bench.workload import Workload
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
+from tactile_hand_ros.hand.joints import Joints
 
 
 def _times(calls: Iterator[Callable[[], object]]) -> list[float]:
@@ -29,8 +30,7 @@ def measure_blocks(work: Workload) -> list[Measurement]:
     answers = (
         lambda i=i, contacts=contacts: loop.controller.step(
             int(record.stamps[i]),
-            record.theta[i],
-            record.rates[i],
+            Joints(record.theta[i], record.rates[i]),
             contacts,
             record.optimal_forces[i],
             float(record.grasp_force[i]),

@@ -30,6 +30,7 @@ from tactile_hand_ros.control.laws import Target
 from tactile_hand_ros.control.loads import CarriedLoad
 from tactile_hand_ros.control.slip.regulator import SlipRegulator
 from tactile_hand_ros.errors import DivergedError, TactileHandError
+from tactile_hand_ros.hand.joints import Joints
 from tactile_hand_ros.scenario.scenario import Scenario
 
 DELAY = 0.1  # s
@@ -50,6 +51,7 @@ _WIRES = {
 
 _NOTHING = Command(np.full(1, np.nan), Mode.HOLD, None, do_not_send=True)
 """Answer of a controller without inputs."""
+_NO_JOINTS = Joints(np.empty(0), np.empty(0))
 
 
 class Wires:
@@ -149,27 +151,25 @@ class _Controller(_Block):
     def step(
         self,
         stamp: int,
-        theta: Array | None,
-        rates: Array,
+        joints: Joints,
         contacts: Contacts | None,
         shape: Array | None,
         grasp_force: float | None,
         forces: Array | None,
-        applied: Array,
     ) -> Any:
         self.drives = True
-        if theta is None:
+        if joints is _NO_JOINTS:
             return _NOTHING
         is_missing = any(each is None for each in (contacts, grasp_force, shape))
         is_missing |= self._observes and forces is None
         self._missing = self._missing + self._tick if is_missing else 0.0
         if is_missing:
             why = "inputs are missing"
-            answer = self.block.hold(theta, rates, why, applied=applied, stamp=stamp)
+            answer = self.block.hold(joints, why, stamp=stamp)
             self.drives = False
             return answer if self._missing >= self._timeout else _NOTHING
         self.before_step()
-        answer = self.block.step(stamp, theta, rates, contacts, shape, grasp_force, forces, applied)
+        answer = self.block.step(stamp, joints, contacts, shape, grasp_force, forces)
         self.drives = answer.mode is Mode.DRIVE
         return answer
 
@@ -188,21 +188,13 @@ class FaultyChain(SensingChain):
         super().__init__(regulator, optimizer, controller, blocks.sensor)
         self.plugged, self._carry = controller, wires.carry
 
-    def answer(
-        self,
-        stamp: int,
-        theta: Array,
-        rates: Array,
-        applied: Array | None,
-        contacts: Contacts,
-        forces: Array,
-    ) -> Answer:
+    def answer(self, stamp: int, joints: Joints, contacts: Contacts, forces: Array) -> Answer:
         """Return the answer to a tick; without one, it is marked as not to be sent."""
-        moved: Any = self._carry("joints", (theta, rates, applied), _turned) or (None,) * 3
+        moved = self._carry("joints", joints, _turned) or _NO_JOINTS
         given: Any = [self._carry(f"force {i}", f, _wrong_force) for i, f in enumerate(forces)]
         measured: Any = None if any(each is None for each in given) else np.array(given)
         touch = self._carry("contacts", contacts, _moved)
-        return super().answer(stamp, moved[0], moved[1], moved[2], touch, measured)
+        return super().answer(stamp, moved, touch, measured)
 
 
 class FaultyLoop(GuardedLoop):
@@ -278,9 +270,9 @@ class FaultyLoop(GuardedLoop):
         self.chain.pass_back()
 
 
-def _turned(joints: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
+def _turned(joints: Joints) -> Joints:
     theta, rates, applied = joints
-    return theta + _TURN, rates, -applied
+    return Joints(theta + _TURN, rates, None if applied is None else -applied)
 
 
 def _moved(contacts: Contacts) -> Contacts:

@@ -21,6 +21,7 @@ from tactile_hand_ros.control.controller import Command, Controller
 from tactile_hand_ros.control.optimizer.force_optimizer import ForceOptimizer, OptimalForces
 from tactile_hand_ros.control.slip.regulator import SlipRegulator
 from tactile_hand_ros.errors import DivergedError
+from tactile_hand_ros.hand.joints import Joints
 from tactile_hand_ros.rotations import quaternion_from_rotation
 from tactile_hand_ros.scenario.preflight import check_scenario
 from tactile_hand_ros.scenario.scenario import Scenario
@@ -45,22 +46,13 @@ class Chain:
     optimizer: ForceOptimizer
     controller: Controller
 
-    def answer(
-        self,
-        stamp: int,
-        theta: Array,
-        rates: Array,
-        applied: Array | None,
-        contacts: Contacts,
-        forces: Array,
-    ) -> Answer:
+    def answer(self, stamp: int, joints: Joints, contacts: Contacts, forces: Array) -> Answer:
         """Return the answer to a tick [ns]; see `Controller.step` for joints and touch."""
-        pressed = self.controller.hand.pressed_by(theta, applied)
+        pressed = self.controller.hand.pressed_by(joints)
         grasp_force = self.regulator.step(stamp, contacts, forces, pressed)
         optimal = self.optimizer.step(stamp, contacts, self.regulator.carried, grasp_force)
-        command = self.controller.step(
-            stamp, theta, rates, contacts, optimal.forces, grasp_force, forces, applied
-        )
+        touch = contacts, optimal.forces, grasp_force, forces
+        command = self.controller.step(stamp, joints, *touch)
         self.pass_back()
         return Answer(grasp_force, optimal, command)
 
@@ -81,7 +73,7 @@ class SensingChain(Chain):
         if state.palm is not None:
             self.controller.turn_palm(state.palm)
         touch = self.sensor.step(stamp, state.touch, state.speeds, state.joints.theta)
-        return touch, self.answer(stamp, *state.joints, touch.contacts, touch.forces)
+        return touch, self.answer(stamp, state.joints, touch.contacts, touch.forces)
 
 
 class ClosedLoop:

@@ -49,6 +49,7 @@ from tactile_hand_ros.control.stability import (
 from tactile_hand_ros.control.targets import Grasp, SmoothReference, TargetQueue
 from tactile_hand_ros.errors import GraspError
 from tactile_hand_ros.hand.hand import Fingertips, Hand
+from tactile_hand_ros.hand.joints import Joints
 from tactile_hand_ros.rotations import rotation_from_quaternion
 
 _NOT_FINITE = "the law gives no finite torque; holding until its inputs are plausible"
@@ -168,11 +169,11 @@ class _Tick(NamedTuple):
     stamp: int
     theta: Array
     rates: Array
+    applied: Array | None
     contacts: Contacts
     optimal_forces: Array
     grasp_force: float
     forces: Array | None
-    applied: Array | None
     elapsed: float
 
     def part(self, fingers: NDArray[np.bool_]) -> _Tick:
@@ -349,56 +350,57 @@ class Controller:
     def step(
         self,
         stamp: int,
-        theta: Array,
-        rates: Array,
+        joints: Joints,
         contacts: Contacts,
         optimal_forces: Array,
         grasp_force: float,
         forces: Array | None = None,
-        applied: Array | None = None,
     ) -> Command:
         """Return the answer to a tick whose inputs have all arrived.
 
         Args:
             stamp: The tick, ns.
-            theta: Joint angles, shape (m,), rad.
-            rates: Joint rates, shape (m,), rad/s.
+            joints: Report of the joints.
             contacts: Contacts by touch; NaN where there is none.
             optimal_forces: f* in contact frames, shape (k, 3); NaN if (13) has no solution.
             grasp_force: k_f, N.
             forces: Measured forces on the object, contact frames, shape (k, 3), N.
-            applied: Torque of the joints since the last tick, shape (m,), N m; None if unknown.
         """
         dt = self._elapsed(stamp)
-        rates = self._rates.step(stamp, theta, rates, self.config.hold.resolution)
+        joints = self._with_rates(stamp, joints)
         self.targets.start_tick(self._last_stamp)
         if not self.enabled:
-            return self._disabled(theta, rates)
+            return self._disabled(joints)
         if self._regrasp.active:
             if not self._regrasped(contacts):
-                return self._open(theta, rates, contacts, dt)
+                return self._open(joints, contacts, dt)
             dt = 0.0  # no time has passed in the new grasp
         self.touch_rejected = np.zeros(self.hand.fingers, dtype=bool)
-        touch = contacts, optimal_forces, grasp_force, forces
-        held, now = self._holding_part(_Tick(stamp, theta, rates, *touch, applied, dt))
+        tick = _Tick(stamp, *joints, contacts, optimal_forces, grasp_force, forces, dt)
+        held, now = self._holding_part(tick)
         problem = self._missing(contacts, now)
         if problem:
             self._carries = self._enough(now.contacts)
             self._inputs.start_grasp()
             self._implausible_since = None
-            return self._holding(theta, rates, problem, grasp_force, applied)
-        self._follow_touch(held, theta)
+            return self._holding(joints, problem, grasp_force)
+        self._follow_touch(held, joints.theta)
         now, tips, problem = self._checked(now)
         if problem:
-            return self._reject_inputs(stamp, theta, rates, problem, applied)
+            return self._reject_inputs(stamp, joints, problem)
         self._implausible_since = None
         if not self._unfelt.any():
-            self._unfelt_touch.feel(theta, now.contacts, now.forces)
+            self._unfelt_touch.feel(now.theta, now.contacts, now.forces)
             self._shape = now.optimal_forces
         try:
             return self._drive(now, tips, contacts)
         except GraspError as error:
-            return self._holding(theta, rates, str(error), applied=applied)
+            return self._holding(joints, str(error))
+
+    def _with_rates(self, stamp: int, joints: Joints) -> Joints:
+        """Return joints at a tick, ns, with rates from their angles if those have steps."""
+        how = self.config.hold.resolution
+        return joints._replace(rates=self._rates.step(stamp, joints.theta, joints.rates, how))
 
     def _holding_part(self, whole: _Tick) -> tuple[NDArray[np.bool_], _Tick]:
         """Return which fingers hold, shape (k,), and their input, the joints replacing lost touch.
@@ -604,13 +606,7 @@ class Controller:
         return f"it brings {end_of(self._fingers, int(ends[0]))}" if len(ends) else ""
 
     def hold(
-        self,
-        theta: Array,
-        rates: Array,
-        reason: str,
-        grasp_force: float = 0.0,
-        applied: Array | None = None,
-        stamp: int | None = None,
+        self, joints: Joints, reason: str, grasp_force: float = 0.0, stamp: int | None = None
     ) -> Command:
         """Return the answer to a tick with a missing input: hold posture and grasp force.
 
@@ -619,27 +615,20 @@ class Controller:
         rates are estimated from the angles, otherwise taken as measured. See `step`.
         """
         if stamp is not None:
-            rates = self._rates.step(stamp, theta, rates, self.config.hold.resolution)
+            joints = self._with_rates(stamp, joints)
         self.targets.start_tick(self._last_stamp)
         self._implausible_since = None
-        held = self._holding(theta, rates, reason, grasp_force, applied)
+        held = self._holding(joints, reason, grasp_force)
         return held._replace(do_not_send=self.joints_held)
 
-    def _holding(
-        self,
-        theta: Array,
-        rates: Array,
-        reason: str,
-        grasp_force: float = 0.0,
-        applied: Array | None = None,
-    ) -> Command:
+    def _holding(self, joints: Joints, reason: str, grasp_force: float = 0.0) -> Command:
         """Hold posture and last good grasp force; see `hold`."""
         if not self.enabled:
-            return self._disabled(theta, rates)
-        self._enter(Mode.HOLD, theta)
-        limit, weight = self.config.grasp_force_limit or math.inf, self._weight(theta)
+            return self._disabled(joints)
+        self._enter(Mode.HOLD, joints.theta)
+        limit, weight = self.config.grasp_force_limit or math.inf, self._weight(joints.theta)
         risen = min(grasp_force, limit) if math.isfinite(grasp_force) else 0.0
-        torque = self._hold.step(theta, rates, weight, applied, risen)
+        torque = self._hold.step(joints, weight, risen)
         return Command(torque, Mode.HOLD, None, reason)
 
     def _keeping(self, parts: LawTorque, theta: Array, rates: Array, dt: float) -> LawTorque:
@@ -722,17 +711,16 @@ class Controller:
             return f"k_f = {grasp_force:.3g} N is above {limit}; holding until it is not"
         return implausible_shape(optimal_forces) if c.law.uses_optimal_forces else ""
 
-    def _reject_inputs(
-        self, stamp: int, theta: Array, rates: Array, reason: str, applied: Array | None
-    ) -> Command:
+    def _reject_inputs(self, stamp: int, joints: Joints, reason: str) -> Command:
         """Answer a tick with an implausible input as if the input were missing."""
         if self._implausible_since is None:
             self._implausible_since = stamp
         is_new = 1e-9 * (stamp - self._implausible_since) < self.config.input_timeout
-        held = self._holding(theta, rates, reason, applied=applied)
+        held = self._holding(joints, reason)
         return held._replace(do_not_send=is_new or self.joints_held)
 
-    def _disabled(self, theta: Array, rates: Array) -> Command:
+    def _disabled(self, joints: Joints) -> Command:
+        theta, rates, _ = joints
         self._enter(Mode.DISABLED, theta)
         self._regrasp.follow(theta)
         self._hold.posture, damping = theta, self.config.law.damping
@@ -767,7 +755,8 @@ class Controller:
             return contacts.enough_touching
         return contacts.all_touching
 
-    def _open(self, theta: Array, rates: Array, contacts: Contacts, dt: float) -> Command:
+    def _open(self, joints: Joints, contacts: Contacts, dt: float) -> Command:
+        theta, rates, _ = joints
         self._enter(Mode.OPEN, theta)
         self._hold.posture = self._regrasp.posture(contacts, dt)
         torque = self._hold.spring(theta, rates) + self._weight(theta)

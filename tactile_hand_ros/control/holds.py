@@ -32,6 +32,7 @@ from tactile_hand_ros.config.model import Config, param
 from tactile_hand_ros.control.contact import all_finite, joint_torques
 from tactile_hand_ros.control.laws import bearable_fraction
 from tactile_hand_ros.hand.hand import Dynamics, Fingertips, Hand, least_squares, tip_forces
+from tactile_hand_ros.hand.joints import Joints
 from tactile_hand_ros.rotations import dot
 
 _PHASE = 0.5  # w d: leaves 17 degrees of phase at the longest delay, 47 at half of it
@@ -217,24 +218,20 @@ class PostureHold:
         none = np.zeros(self._hand.joints)
         self.held = Held(GraspTorque(none[:0], none), none)
 
-    def step(
-        self, theta: Array, rates: Array, weight: Array, applied: Array | None, grasp_force: float
-    ) -> Array:
+    def step(self, joints: Joints, weight: Array, grasp_force: float) -> Array:
         """Return the holding torque, shape (m,), N m.
 
         Before its first grasp a hold keeps the torque that acts on the joints. Another controller
         may have crashed with the object in the hand.
 
         Args:
-            theta: Joint angles, shape (m,), rad.
-            rates: Joint rates, shape (m,), rad/s.
+            joints: Report of the joints.
             weight: Torque that carries the links, shape (m,), N m.
-            applied: Torque of the joints since the last tick, shape (m,), N m; None if unknown.
             grasp_force: k_f, N, with which the held force rises, and never falls; 0 if unknown.
         """
-        tips = self._hand.fingertips(theta)
-        held = self._kept(tips, weight, applied, grasp_force)
-        rest = held.load + self.spring(theta, rates) + weight
+        tips = self._hand.fingertips(joints.theta)
+        held = self._kept(tips, weight, joints.applied, grasp_force)
+        rest = held.load + self.spring(joints.theta, joints.rates) + weight
         internal = held.internal.at(tips, 1.0)
         return bearable_fraction(internal, rest, self._hand.effort_limits) * internal + rest
 

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from tactile_hand_ros.compiled import Array, compiled
 from tactile_hand_ros.config.hand_config import Coupling, FingerConfig, HandConfig, load_hand_config
 from tactile_hand_ros.errors import HandModelError
+from tactile_hand_ros.hand.joints import Joints
 from tactile_hand_ros.hand.tip_fit import fitted_tips
 from tactile_hand_ros.hand.urdf import describe
 
@@ -278,8 +279,9 @@ class Hand:
         pin.computeJointJacobians(self.model, self._data, self.all_angles(theta))
         return self._tips_at(self._read_centers())
 
-    def pressed_by(self, theta: Array, torque: Array | None) -> Array | None:
-        """Return the `tip_forces` of a torque, shape (k, 3), N; None if it is unknown."""
+    def pressed_by(self, joints: Joints) -> Array | None:
+        """Return the `tip_forces` of their torque, shape (k, 3), N; None if it is unknown."""
+        theta, _, torque = joints
         return None if torque is None else tip_forces(self.fingertips(theta), torque)
 
     def _tips_at(self, centers: Array) -> Fingertips:

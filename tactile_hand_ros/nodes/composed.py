@@ -22,6 +22,7 @@ from rclpy.node import Node
 from tactile_hand_ros.closed_loop.loop import Chain, SensingChain
 from tactile_hand_ros.compiled import Array
 from tactile_hand_ros.control.contact import Contacts
+from tactile_hand_ros.hand.joints import Joints
 from tactile_hand_ros.names import RECORD
 from tactile_hand_ros.nodes.force_optimizer import ForceOptimizerNode
 from tactile_hand_ros.nodes.manipulation_controller import ManipulationControllerNode
@@ -30,7 +31,6 @@ from tactile_hand_ros.nodes.slip_regulator import SlipRegulatorNode
 from tactile_hand_ros.nodes.tactile_sensor import TactileSensorNode
 from tactile_hand_ros.ros import streams
 from tactile_hand_ros.ros.endpoints import TickFailedError
-from tactile_hand_ros.ros.messages import Joints
 from tactile_hand_ros.ros.node import TactileNode
 from tactile_hand_ros.ros.runner import run_nodes
 from tactile_hand_ros.ros.ticks import TickInputs
@@ -130,7 +130,7 @@ class TouchedHand(_Wired):
         """Answer a complete tick."""
         if palm is not None:
             self._controller.turn_palm(palm)
-        self._chain.answer(stamp, *joints, contacts, forces)
+        self._chain.answer(stamp, joints, contacts, forces)
 
     def on_blind_tick(self, stamp: int, joints: Joints, reason: str) -> None:
         """Hold the hand at a tick without touch."""

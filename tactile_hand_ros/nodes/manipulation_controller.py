@@ -32,6 +32,7 @@ from tactile_hand_ros.control.laws import Target
 from tactile_hand_ros.control.margins import UNKNOWN_MARGINS, GraspMonitor
 from tactile_hand_ros.errors import ConfigurationError, GraspError
 from tactile_hand_ros.hand.hand import Hand
+from tactile_hand_ros.hand.joints import Joints
 from tactile_hand_ros.nodes.common import ModeLog, rotated_pose_encoder
 from tactile_hand_ros.nodes.desired_poses import DesiredPoses
 from tactile_hand_ros.nodes.user_changes import AppliedChanges
@@ -39,7 +40,7 @@ from tactile_hand_ros.own_law import take_law
 from tactile_hand_ros.ros import qos, streams
 from tactile_hand_ros.ros.diagnostics import WARN
 from tactile_hand_ros.ros.endpoints import TickFailedError
-from tactile_hand_ros.ros.messages import JointCodec, Joints, check_output
+from tactile_hand_ros.ros.messages import JointCodec, check_output
 from tactile_hand_ros.ros.node import TactileNode
 from tactile_hand_ros.ros.runner import run_node
 from tactile_hand_ros.ros.ticks import TickInputs
@@ -204,10 +205,9 @@ class ManipulationControllerNode(TactileNode[ControllerConfig]):
             if stamp == _TICK:
                 ahead = Target(touch.centroid + _SHORT, np.full((3, 3), np.nan))
                 self._controller.targets.schedule(ahead, 0, judged=False)
-            self._controller.step(
-                stamp, theta, rates, touch, forces / hand.fingers, 1.0, forces, still
-            )
-        self._controller.hold(theta, rates, "")
+            joints = Joints(theta, rates, still)
+            self._controller.step(stamp, joints, touch, forces / hand.fingers, 1.0, forces)
+        self._controller.hold(joints, "")
         GraspMonitor(hand).margins(still, touch)
         best_rotation(touch.positions, touch.positions)  # of a move whose contacts roll
         self._controller.reset()
@@ -305,19 +305,16 @@ class ManipulationControllerNode(TactileNode[ControllerConfig]):
         """Answer a complete tick."""
         if palm is not None:
             self.turn_palm(palm)
-        theta, rates, applied = joints
-        self.step(stamp, theta, rates, contacts, optimal_forces, grasp_force, forces, applied)
+        self.step(stamp, joints, contacts, optimal_forces, grasp_force, forces)
 
     def step(
         self,
         stamp: int,
-        theta: Array,
-        rates: Array,
+        joints: Joints,
         contacts: Contacts,
         optimal_forces: Array,
         grasp_force: float,
         forces: Array | None = None,
-        applied: Array | None = None,
     ) -> Command:
         """Publish and return the answer to a tick; see `Controller.step`.
 
@@ -330,9 +327,8 @@ class ManipulationControllerNode(TactileNode[ControllerConfig]):
                 if self._desired.fresh:
                     self._desired.before(stamp)
                 self._tick = stamp
-                command = self._controller.step(
-                    stamp, theta, rates, contacts, optimal_forces, grasp_force, forces, applied
-                )
+                touch = contacts, optimal_forces, grasp_force, forces
+                command = self._controller.step(stamp, joints, *touch)
                 rejected = self.touch_rejected
                 if (rejected != self._rejected).any():
                     self._rejected = rejected
@@ -340,9 +336,9 @@ class ManipulationControllerNode(TactileNode[ControllerConfig]):
                     self._rejection.publish(String(data=text))
                 command = self._send(stamp, command)
                 self._desired.after(stamp)
-                self._report.note(command, theta, contacts)
+                self._report.note(command, joints.theta, contacts)
         except TickFailedError as failure:
-            command = self._safe_answer(stamp, Joints(theta, rates, applied), failure)
+            command = self._safe_answer(stamp, joints, failure)
         return command
 
     def _safe_answer(self, stamp: int, joints: Joints, failure: TickFailedError) -> Command:
@@ -355,9 +351,7 @@ class ManipulationControllerNode(TactileNode[ControllerConfig]):
 
     def on_blind_tick(self, stamp: int, joints: Joints, reason: str) -> None:
         """Hold the hand at a tick with missing inputs."""
-        command = self._controller.hold(
-            joints.theta, joints.rates, reason, applied=joints.applied, stamp=stamp
-        )
+        command = self._controller.hold(joints, reason, stamp=stamp)
         if not command.do_not_send:
             self._send(stamp, command)
             self.diagnostics.tick()

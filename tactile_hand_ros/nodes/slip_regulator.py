@@ -34,13 +34,13 @@ from tactile_hand_ros.control.slip.detector import ContactState
 from tactile_hand_ros.control.slip.regulator import SlipRegulator, SlipRegulatorConfig
 from tactile_hand_ros.errors import UnsafeOutputError
 from tactile_hand_ros.hand.hand import Hand
+from tactile_hand_ros.hand.joints import Joints
 from tactile_hand_ros.nodes.common import ModeLog
 from tactile_hand_ros.nodes.user_changes import AppliedChanges
 from tactile_hand_ros.ros import qos, streams
 from tactile_hand_ros.ros.diagnostics import WARN, Diagnostics, Mostly
 from tactile_hand_ros.ros.messages import (
     JointCodec,
-    Joints,
     WrenchCodec,
     WrenchPublishers,
     read_number,
@@ -213,7 +213,7 @@ class SlipRegulatorNode(TactileNode[SlipRegulatorConfig]):
         touch, regulator = example_touch(fingers), self._regulator
         still = np.zeros(self._hand.joints)
         for stamp in (0, 1):  # the second knows the load
-            regulator.step(stamp, *touch, self._hand.pressed_by(still, still))
+            regulator.step(stamp, *touch, self._hand.pressed_by(Joints(still, still, still)))
         self._report.note(regulator, 0, *touch, GripState.of(regulator))
         self.on_restart()
 
@@ -271,7 +271,7 @@ class SlipRegulatorNode(TactileNode[SlipRegulatorConfig]):
 
     def on_tick(self, stamp: int, contacts: Contacts, forces: Array, joints: Joints) -> None:
         """Answer a complete tick."""
-        self.step(stamp, contacts, forces, self._hand.pressed_by(joints.theta, joints.applied))
+        self.step(stamp, contacts, forces, self._hand.pressed_by(joints))
 
     def step(
         self, stamp: int, contacts: Contacts, forces: Array, pressed: Array | None = None
@@ -298,7 +298,7 @@ class SlipRegulatorNode(TactileNode[SlipRegulatorConfig]):
 
     def observe(self, stamp: int, contacts: Contacts, forces: Array, joints: Joints) -> None:
         """Process a skipped tick, because slip detection needs every sample."""
-        pressed = self._hand.pressed_by(joints.theta, joints.applied)
+        pressed = self._hand.pressed_by(joints)
         self._regulator.step(stamp, contacts, forces, pressed)
         self._changes.take_effect(stamp)
 

@@ -18,9 +18,10 @@ from tactile_hand_ros import names
 from tactile_hand_ros.compiled import Array
 from tactile_hand_ros.config.hand_config import load_hand_config
 from tactile_hand_ros.control.contact import example_touch
+from tactile_hand_ros.hand.joints import Joints
 from tactile_hand_ros.nodes.common import ReadingPublisher
 from tactile_hand_ros.ros import streams
-from tactile_hand_ros.ros.messages import Joints, Pose
+from tactile_hand_ros.ros.messages import Pose
 from tactile_hand_ros.ros.node import TactileNode
 from tactile_hand_ros.ros.runner import run_node
 from tactile_hand_ros.ros.ticks import TickInputs

@@ -31,6 +31,7 @@ from tactile_hand_ros.compiled import Array
 from tactile_hand_ros.config.explanation import did_you_mean
 from tactile_hand_ros.control.contact import Contacts
 from tactile_hand_ros.errors import MessageError, UnsafeOutputError, nearest, shortened
+from tactile_hand_ros.hand.joints import Joints
 from tactile_hand_ros.names import PALM_FRAME, contact_frame
 
 if TYPE_CHECKING:
@@ -274,17 +275,6 @@ class ContactsCodec:
         """Return timestamp and contacts with rotation matrices."""
         stamp, poses = self.decode(data)
         return stamp, Contacts.from_poses(*poses)
-
-
-class Joints(NamedTuple):
-    """Joint angles [rad], rates [rad/s] and torques [N m] in the hand's order, shape (m,).
-
-    The torques acted since the previous tick; they are None if the driver does not report them.
-    """
-
-    theta: Array
-    rates: Array
-    applied: Array | None
 
 
 class JointCodec:

@@ -4,12 +4,12 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 
 from tactile_hand_ros.compiled import Array
 from tactile_hand_ros.config.model import Config, param
+from tactile_hand_ros.hand.joints import Joints
 
 
 class EncoderConfig(Config):
@@ -28,20 +28,6 @@ class EncoderConfig(Config):
     def resolution(self) -> float:
         """Error of an angle, rad: a step, and three standard deviations; 0 if it is exact."""
         return self.step + 3.0 * self.noise
-
-
-class JointReading(NamedTuple):
-    """Report of the joints at a tick.
-
-    Attributes:
-        theta: Joint angles, shape (m,), rad.
-        rates: Joint rates, shape (m,), rad/s.
-        effort: Torque since the last tick, shape (m,), N m.
-    """
-
-    theta: Array
-    rates: Array
-    effort: Array
 
 
 class JointSensor:
@@ -66,12 +52,12 @@ class JointSensor:
         self._last: Array | None = None
         self._rates = np.zeros(0)
 
-    def step(self, theta: Array, rates: Array, effort: Array) -> JointReading:
+    def step(self, theta: Array, rates: Array, effort: Array) -> Joints:
         """Return the report of true angles, rad, rates, rad/s, and torques, N m, shapes (m,)."""
         if self._effort_noise > 0.0:
             effort = effort + self._random.normal(0.0, self._effort_noise, len(effort))
         if self._encoder.resolution == 0.0:
-            return JointReading(theta, rates, effort)
+            return Joints(theta, rates, effort)
         seen = theta
         if self._encoder.noise > 0.0:
             seen = seen + self._random.normal(0.0, self._encoder.noise, len(theta))
@@ -82,4 +68,4 @@ class JointSensor:
         differences = (seen - self._last) / self._tick
         self._rates = self._rates + self._follow * (differences - self._rates)
         self._last = seen
-        return JointReading(seen, self._rates, effort)
+        return Joints(seen, self._rates, effort)

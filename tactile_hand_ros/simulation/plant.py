@@ -19,6 +19,7 @@ from tactile_hand_ros.compiled import Array
 from tactile_hand_ros.control.contact import Contacts
 from tactile_hand_ros.errors import ConfigurationError, DivergedError, ObjectModelError
 from tactile_hand_ros.hand.hand import Hand, RawDynamics, mirrored
+from tactile_hand_ros.hand.joints import Joints
 from tactile_hand_ros.rotations import (
     quaternion_from_rotation,
     quaternions_of_rows,
@@ -35,7 +36,7 @@ from tactile_hand_ros.simulation.contact_step import (
     step,
 )
 from tactile_hand_ros.simulation.coulomb import RELAXED, UNSOLVED
-from tactile_hand_ros.simulation.joint_sensor import JointReading, JointSensor
+from tactile_hand_ros.simulation.joint_sensor import JointSensor
 from tactile_hand_ros.simulation.palm_motion import (
     Turning,
     apparent_wrench,
@@ -78,7 +79,7 @@ class PlantState(NamedTuple):
 
     theta: Array
     rates: Array
-    joints: JointReading
+    joints: Joints
     position: Array
     rotation: Array
     velocity: Array

@@ -24,6 +24,7 @@ from tactile_hand_ros.control.controller import Command, Controller, Mode
 from tactile_hand_ros.control.optimizer.force_optimizer import ForceOptimizer, OptimalForces, Status
 from tactile_hand_ros.control.slip.regulator import SlipRegulator
 from tactile_hand_ros.errors import BagError, GraspError
+from tactile_hand_ros.hand.joints import Joints
 from tactile_hand_ros.rotations import quaternion_from_rotation
 from tactile_hand_ros.run.run import Run
 from tactile_hand_ros.verify.recorded_inputs import (
@@ -167,9 +168,8 @@ class ShadowLoop(Chain):
             self._change(node, stamp)
         if np.isfinite(r.palm[row]).all():
             self._blocks[names.CONTROLLER].turn_palm(r.palm[row])
-        grasp_force, optimal, command = self.answer(
-            stamp, r.theta[row], r.rates[row], r.torque[row], contacts, r.forces[row]
-        )
+        joints = Joints(r.theta[row], r.rates[row], r.torque[row])
+        grasp_force, optimal, command = self.answer(stamp, joints, contacts, r.forces[row])
         out.grasp_force[row], out.optimal_forces[row] = grasp_force, optimal.forces
         if np.isfinite(grasp_force):
             out.grip[row], out.slip_evidence[row] = regulator.state, regulator.slip_likelihood
@@ -183,9 +183,8 @@ class ShadowLoop(Chain):
         r = self._inputs.record
         stamp, why = int(r.stamps[row]), "inputs are missing"
         self._change(names.CONTROLLER, stamp)
-        held = self.controller.hold(
-            r.theta[row], r.rates[row], why, applied=r.torque[row], stamp=stamp
-        )
+        joints = Joints(r.theta[row], r.rates[row], r.torque[row])
+        held = self.controller.hold(joints, why, stamp=stamp)
         self._out.command[row] = held.torque
 
     def _change(self, node: str, stamp: int) -> None:

@@ -11,6 +11,7 @@ from tactile_hand_ros.control.contact import Contacts, in_palm, joint_torques
 from tactile_hand_ros.control.controller import Command, Controller, ControllerConfig
 from tactile_hand_ros.control.laws import Target
 from tactile_hand_ros.control.optimizer.force_optimizer import ForceOptimizer, ForceOptimizerConfig
+from tactile_hand_ros.hand.joints import Joints
 from tactile_hand_ros.rotations import rotation_from_vector
 
 TICK = 2_000_000
@@ -18,6 +19,8 @@ REST = np.zeros(9)
 
 FEELING = {"law__observer__time": 0.02, "touch_latency": 0.0}
 """Parameters with which a controller compares forces and torques, as keywords of `Bench`."""
+
+JOINTS = set(Joints._fields)
 
 TABLE_I = {"law.k_p": 3.0, "law.k_o": 0.5, "law.damping": 0.07, "reference_time": 0.0}
 
@@ -39,19 +42,22 @@ class Bench:
         self.grasp_force, self.stamp = 10.0, 0
 
     def step(self, ticks: int = 1, **given: Any) -> Command:
-        """Answer the next ticks; return the last command."""
+        """Answer the next ticks, with other joints or touch if given; return the last command."""
+        joints = self._joints(**{name: given.pop(name) for name in JOINTS & given.keys()})
+        touch = {"contacts": self.contacts, "optimal_forces": self.optimal}
+        seen = {**touch, "grasp_force": self.grasp_force, **given}
         for _ in range(ticks):
-            seen = {
-                "theta": self.theta,
-                "rates": self.rates,
-                "contacts": self.contacts,
-                "optimal_forces": self.optimal,
-                "grasp_force": self.grasp_force,
-                **given,
-            }
-            command = self.controller.step(self.stamp, **seen)
+            command = self.controller.step(self.stamp, joints, **seen)
             self.stamp += TICK
         return command
+
+    def hold(self, *, grasp_force: float = 0.0, **joints: Any) -> Command:
+        """Answer a tick without touch, by default with joints at rest."""
+        seen = self._joints(**{"rates": REST, **joints})
+        return self.controller.hold(seen, "silence", grasp_force)
+
+    def _joints(self, **given: Any) -> Joints:
+        return Joints(**{"theta": self.theta, "rates": self.rates, **given})
 
     def without_finger(self, finger: int) -> Contacts:
         """Return the contacts without that of one finger."""

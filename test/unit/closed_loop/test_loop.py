@@ -13,6 +13,7 @@ from tactile_hand_ros.control.contact import Contacts
 from tactile_hand_ros.control.controller import Controller
 from tactile_hand_ros.control.optimizer.force_optimizer import ForceOptimizer
 from tactile_hand_ros.control.slip.regulator import SlipRegulator
+from tactile_hand_ros.hand.joints import Joints
 from tactile_hand_ros.run.derived import dropped_at
 from tactile_hand_ros.scenario.preflight import check_scenario
 from tactile_hand_ros.scenario.scenario import load_scenario
@@ -133,7 +134,7 @@ def test_what_is_recorded_of_a_tick_is_what_the_blocks_say():
         expected = {
             "theta": state.theta,
             "rates": state.rates,
-            "torque": state.joints.effort,
+            "torque": state.joints.applied,
             "command": command.torque,
             "object_position": state.position,
             "true_positions": state.contacts.positions,
@@ -181,8 +182,8 @@ def replay(scenario, seen):
     for wish in scenario.targets:
         chain.controller.targets.command(wish.target(), wish.stamp)
     contacts = map(Contacts.from_poses, seen.contact_positions, seen.contact_quaternions)
-    joints = seen.theta, seen.rates, seen.torque
-    ticks = zip(seen.stamps.tolist(), *joints, contacts, seen.forces, strict=True)
+    joints = map(Joints, seen.theta, seen.rates, seen.torque)
+    ticks = zip(seen.stamps.tolist(), joints, contacts, seen.forces, strict=True)
     return np.array([chain.answer(*tick).command.torque for tick in ticks])
 
 

@@ -204,11 +204,11 @@ def test_law_10_needs_no_optimal_force_and_a_grasp_force_may_be_zero():
 
 def test_a_second_hold_starts_from_its_own_posture(bench):
     bench.step()
-    bench.controller.hold(bench.theta, REST, "silence")
+    bench.hold()
     bench.step()
     there = bench.theta + 0.05
     drive = bench.step(theta=there)
-    held = bench.controller.hold(there, REST, "silence")
+    held = bench.hold(theta=there)
     assert held.reason == "silence" and held.mode is Mode.HOLD
     assert np.abs(held.torque - drive.torque).max() < 0.2  # no spring back to the first posture
 
@@ -217,7 +217,7 @@ def test_disabled_means_damping_only_and_enabled_drives_again(bench):
     drive = bench.step()
     bench.controller.enabled = False
     rates = np.linspace(-1.0, 1.0, 9)
-    for command in (bench.step(rates=rates), bench.controller.hold(bench.theta, rates, "silence")):
+    for command in (bench.step(rates=rates), bench.hold(rates=rates)):
         assert command.mode is Mode.DISABLED
         np.testing.assert_allclose(command.torque, -0.07 * rates, atol=1e-15)
     bench.controller.enabled = True
@@ -228,15 +228,15 @@ def test_disabled_means_damping_only_and_enabled_drives_again(bench):
 def test_after_disabling_a_hold_keeps_neither_the_old_grasp_force_nor_the_old_posture(silent):
     bench = Bench(law__observer__time=0.02)
     bench.step(10, forces=FORCES)
-    bench.controller.hold(bench.theta, REST, "silence")
+    bench.hold()
     bench.controller.enabled = False
     if silent:
-        bench.controller.hold(bench.theta, REST, "silence")
+        bench.hold()
     else:
         bench.step(forces=FORCES)
     bench.controller.enabled = True
     there = bench.theta + np.linspace(-0.3, 0.4, 9)
-    held = bench.controller.hold(there, REST, "silence", grasp_force=20.0)
+    held = bench.hold(theta=there, grasp_force=20.0)
     assert held.mode is Mode.HOLD
     np.testing.assert_array_equal(held.torque, REST)
 
@@ -251,7 +251,7 @@ def test_a_hold_keeps_what_it_carries_and_only_the_grasp_force_rises_with_the_gr
     risen = bench.step(grasp_force=15.0, **lost).torque
     np.testing.assert_allclose(risen - drive, 0.5 * force, atol=1e-9)
     bench.step(forces=FORCES)
-    held = bench.controller.hold(bench.theta, REST, "silence").torque
+    held = bench.hold().torque
     np.testing.assert_allclose(held, drive, atol=1e-2 * np.linalg.norm(drive))
 
 
@@ -313,7 +313,7 @@ def idle(bench):
 
 
 def miss(bench):
-    bench.controller.hold(bench.theta, REST, "silence")
+    bench.hold()
 
 
 @pytest.mark.parametrize("interrupt", [miss, idle, let_go_and_take_again])
@@ -446,7 +446,7 @@ def test_after_a_reset_no_hold_goes_on_and_time_may_restart():
     bench = strained(miss)
     bench.controller.reset()
     there = bench.theta + np.linspace(-0.2, 0.3, 9)
-    held = bench.controller.hold(there, REST, "silence", grasp_force=20.0)
+    held = bench.hold(theta=there, grasp_force=20.0)
     np.testing.assert_array_equal(held.torque, REST)
     bench.stamp = 0
     bench.controller.targets.command(bench.target(0.02, 0.0, 0.0), stamp=4 * TICK)
@@ -484,7 +484,7 @@ def test_a_release_starts_at_the_posture_of_the_grasp_without_its_grasp_force(be
     first = bench.step()
     assert first.mode is Mode.OPEN
     np.testing.assert_allclose(first.torque, REST, atol=1e-4)
-    silent = bench.controller.hold(bench.theta, REST, "silence", grasp_force=30.0)
+    silent = bench.hold(grasp_force=30.0)
     np.testing.assert_allclose(silent.torque, REST, atol=1e-4)
 
 
@@ -608,7 +608,7 @@ def test_an_answer_without_an_input_is_withheld_where_a_guard_holds(held):
     bench = Bench()
     bench.step()
     bench.controller.joints_held = held
-    assert bench.controller.hold(bench.theta, REST, "silence").do_not_send == held
+    assert bench.hold().do_not_send == held
     assert not bench.step(contacts=bench.nowhere).do_not_send
 
 
@@ -628,7 +628,7 @@ def test_an_input_that_is_implausible_again_is_withheld_for_its_whole_time():
     assert bench.step(50, **wrong).do_not_send and not bench.step(**wrong).do_not_send
     assert not bench.step(optimal_forces=np.full((3, 3), np.nan)).do_not_send
     assert bench.step(50, **wrong).do_not_send and not bench.step(**wrong).do_not_send
-    bench.controller.hold(bench.theta, REST, "silence")
+    bench.hold()
     assert bench.step(**wrong).do_not_send
 
 
@@ -646,9 +646,9 @@ def held_torque(*intervals, **values):
     for interval in (2.0, *intervals):
         bench.step()
         bench.stamp += round(1e6 * interval) - TICK
-    still = bench.controller.hold(bench.theta, REST, "silence").torque
+    still = bench.hold().torque
     moved = bench.theta + np.linspace(0.0, 0.01, 9)
-    return bench.controller.hold(moved, REST, "silence").torque - still
+    return bench.hold(theta=moved).torque - still
 
 
 def test_the_hold_is_as_stiff_as_the_tick_period_allows_whatever_the_stamps_do():
@@ -712,7 +712,7 @@ def test_a_grasp_force_that_rises_while_a_contact_is_lost_is_held_and_never_fall
     np.testing.assert_allclose(twice - base, base, atol=1e-9)  # at rest all of it is grasp force
     for k_f in (10.0, float("nan"), 0.0):
         np.testing.assert_array_equal(bench.step(grasp_force=k_f, **lost).torque, twice)
-    silent = bench.controller.hold(bench.theta, REST, "touch is late")
+    silent = bench.hold()
     np.testing.assert_array_equal(silent.torque, twice)
     bench.step()
     np.testing.assert_allclose(bench.step(**lost).torque, base, atol=1e-9)
@@ -736,7 +736,7 @@ def test_a_new_controller_keeps_the_torque_that_another_has_left(again):
         bench.step(contacts=bench.nowhere, grasp_force=20.0)
         bench.controller.forget()
     # A larger k_f does not raise a torque of unknown k_f.
-    held = bench.controller.hold(bench.theta, REST, "silence", 30.0, left)
+    held = bench.hold(applied=left, grasp_force=30.0)
     np.testing.assert_allclose(held.torque, left, atol=1e-12)
     without = bench.step(contacts=bench.without_finger(1), applied=0.5 * left)
     np.testing.assert_allclose(without.torque, left, atol=1e-12)
@@ -746,7 +746,7 @@ def test_a_new_controller_keeps_the_torque_that_another_has_left(again):
     "applied", [None, np.zeros(9), np.full(9, np.nan), np.where(np.arange(9) == 4, np.nan, 0.3)]
 )
 def test_where_no_torque_is_known_a_new_controller_only_keeps_the_posture(bench, applied):
-    held = bench.controller.hold(bench.theta, REST, "silence", applied=applied)
+    held = bench.hold(applied=applied)
     without = bench.step(contacts=bench.without_finger(0), applied=applied)
     assert without.mode is Mode.HOLD and without.pose is None
     np.testing.assert_array_equal([held.torque, without.torque], [REST, REST])
@@ -761,5 +761,5 @@ def test_a_hand_that_was_disabled_or_is_open_takes_no_torque_over(bench, mode):
     bench.controller.forget()
     assert bench.step().mode is mode
     bench.controller.enabled = True
-    held = bench.controller.hold(bench.theta, REST, "silence", applied=np.full(9, 0.3))
+    held = bench.hold(applied=np.full(9, 0.3))
     np.testing.assert_allclose(held.torque, REST, atol=1e-4)

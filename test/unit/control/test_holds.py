@@ -207,8 +207,8 @@ def test_hands_of_any_size_keep_the_object_while_commands_stop(tmp_path, scale, 
 def held_late(guarded, seconds):
     """Hold from now on with torques three ticks late, and return what was watched."""
     controller = guarded.loop.controller
-    controller.step = lambda stamp, theta, rates, *_: controller.hold(
-        theta, rates, "silence", stamp=stamp
+    controller.step = lambda stamp, joints, *_: controller.hold(
+        joints._replace(applied=None), "silence", stamp=stamp
     )
     watch = Watch(guarded)
     watch.run(seconds, answers=True, delay=3)

@@ -27,6 +27,7 @@ from tactile_hand_ros.control.regrasp import Regrasp, RegraspConfig
 from tactile_hand_ros.control.slip.regulator import SlipRegulator, SlipRegulatorConfig
 from tactile_hand_ros.errors import PoseError
 from tactile_hand_ros.hand.hand import Fingertips, Hand
+from tactile_hand_ros.hand.joints import Joints
 from tactile_hand_ros.scenario.scenario import load_scenario
 
 GAINS = {f"manipulation_controller.law.{name}": 0.0 for name in ("k_p", "k_o", "damping")}
@@ -231,8 +232,9 @@ def test_a_finger_that_returns_leaves_the_others_their_posture(tmp_path):
         optimal = loop.optimizer.step(tick, contacts).forces
         forces = np.full((4, 3), np.nan)
         forces[:, 1] = 10.0 * optimal[:, 1]
-        seen = tick * 1_000_000, theta + away, np.zeros(12), contacts, optimal, 10.0, forces
-        return loop.controller.step(*seen).torque
+        joints = Joints(theta + away, np.zeros(12))
+        seen = contacts, optimal, 10.0, forces
+        return loop.controller.step(tick * 1_000_000, joints, *seen).torque
 
     away = np.linspace(-0.004, 0.004, 12)
     still = step(0, 0.0, contacts), step(1, 0.0, contacts)

@@ -224,7 +224,7 @@ def test_one_pose_is_judged_in_a_tick_or_a_silence():
     bench = Bench()
     bench.step()
     far = bench.target(0.0, 0.0, 2.0)
-    for following in (bench.step, lambda: bench.controller.hold(bench.theta, REST, "silence")):
+    for following in (bench.step, bench.hold):
         with pytest.raises(PoseError):
             bench.controller.targets.command(far)
         bench.controller.targets.command(far)

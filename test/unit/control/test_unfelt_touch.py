@@ -165,7 +165,7 @@ def test_a_hold_does_not_end_it_nor_does_a_skin_without_numbers(dead):
     forces[0] = dead
     unfelt = {"contacts": bench.without_finger(0), "forces": forces}
     assert bench.step(5, **unfelt).mode is Mode.DRIVE
-    bench.controller.hold(bench.theta, REST, "silence")
+    bench.hold()
     found = bench.step(5, **unfelt)
     assert found.mode is Mode.DRIVE and np.isfinite(found.torque).all()
 

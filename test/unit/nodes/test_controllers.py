@@ -21,20 +21,21 @@ from tactile_hand_ros.control import controller, holds, sensing
 from tactile_hand_ros.control.contact import Contacts
 from tactile_hand_ros.control.controller import Mode
 from tactile_hand_ros.control.targets import MAX_WAITING
+from tactile_hand_ros.hand.joints import Joints
 from tactile_hand_ros.nodes.force_optimizer import ForceOptimizerNode
 from tactile_hand_ros.nodes.manipulation_controller import ManipulationControllerNode
 from tactile_hand_ros.nodes.slip_regulator import SlipRegulatorNode
 from tactile_hand_ros.ros import qos
 from tactile_hand_ros.ros.diagnostics import OK, WARN
 from tactile_hand_ros.ros.endpoints import TickFailedError
-from tactile_hand_ros.ros.messages import JointCodec, Joints, WrenchCodec, stamp_to_ns
+from tactile_hand_ros.ros.messages import JointCodec, WrenchCodec, stamp_to_ns
 from tactile_hand_ros.scenario.scenario import load_scenario
 from tactile_hand_ros.simulation.plant import Plant
 
 TICK, DAY = 2_000_000, 86_400_000_000_000  # ns
 PLANT = Plant(load_scenario("paper").plant)
 STATE, HAND = PLANT.state, PLANT.hand
-JOINTS = Joints(STATE.theta, STATE.rates, STATE.joints.effort)
+JOINTS = Joints(STATE.theta, STATE.rates, STATE.joints.applied)
 FRACTIONS = np.tile([0.0, 1.0 / 3.0, 0.0], (3, 1))
 PUSH = np.array([[0.3, 2.0, -0.1], [0.1, 3.0, 0.2], [-0.2, 2.5, 0.4]])
 FRICTION = np.array([0.5, 0.6, 0.7])
@@ -56,8 +57,8 @@ def tick(node: Any, stamp: int, forces: Any = PUSH, **changes: Any) -> Any:
         return node.step(stamp, changes.get("contacts", STATE.contacts), FRICTION, forces)
     shape = changes.get("shape", FRACTIONS)
     contacts = changes.get("contacts", STATE.contacts)
-    touch = contacts, shape, changes.get("grasp_force", 10.0), None
-    return node.step(stamp, JOINTS.theta, JOINTS.rates, *touch, JOINTS.applied)
+    touch = contacts, shape, changes.get("grasp_force", 10.0)
+    return node.step(stamp, JOINTS, *touch)
 
 
 def asked(messages: list[Any]) -> list[tuple[str, str, int]]:

@@ -10,9 +10,10 @@ import pytest
 from tactile_hand_ros import names
 from tactile_hand_ros.errors import TactileHandError
 from tactile_hand_ros.hand.hand import Hand
+from tactile_hand_ros.hand.joints import Joints
 from tactile_hand_ros.ros import streams
 from tactile_hand_ros.ros.diagnostics import ERROR, Diagnostics
-from tactile_hand_ros.ros.messages import ContactsCodec, JointCodec, Joints, WrenchCodec
+from tactile_hand_ros.ros.messages import ContactsCodec, JointCodec, WrenchCodec
 from tactile_hand_ros.ros.ticks import TickInputs
 from tactile_hand_ros.rotations import rotation_from_quaternion
 

@@ -39,7 +39,7 @@ def test_noise_has_its_size_and_repeats_after_a_reset():
 
     first = readings()
     assert np.std([r.theta for r in first], axis=0) == pytest.approx(0.003, rel=0.1)
-    assert np.std([r.effort for r in first], axis=0) == pytest.approx(0.02, rel=0.1)
+    assert np.std([r.applied for r in first], axis=0) == pytest.approx(0.02, rel=0.1)
     sensor.reset()
     for before, again in zip(first, readings(), strict=True):
         for a, b in zip(before, again, strict=True):

@@ -98,7 +98,7 @@ def test_torque_is_limited_as_by_a_motor():
     world = plant(**FAR)
     given = np.array([100.0, -100.0, 20.0, -20.0, 3.0, 0.0, 0.0, 0.0, 0.0])
     state = world.advance(given)
-    np.testing.assert_array_equal(state.joints.effort, [20.0, -20.0, 20.0, -20.0, 3.0, 0, 0, 0, 0])
+    np.testing.assert_array_equal(state.joints.applied, [20.0, -20.0, 20.0, -20.0, 3.0, 0, 0, 0, 0])
     limited = plant(**FAR).advance(np.clip(given, -20.0, 20.0))
     np.testing.assert_array_equal(state.rates, limited.rates)
 

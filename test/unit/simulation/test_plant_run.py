@@ -54,7 +54,7 @@ def test_a_refused_sender_moves_nothing_until_it_is_released():
     run.command(0, TORQUE)
     run.advance()
     assert run.guard.reason == "two senders"
-    assert np.abs(run.state.joints.effort).max() < 0.1
+    assert np.abs(run.state.joints.applied).max() < 0.1
     run.refused = ""
     advance(run, 1, TORQUE)
     assert not run.guard.reason

@@ -28,6 +28,7 @@ from tactile_hand_ros.control.controller import Controller
 from tactile_hand_ros.control.laws import OWN_LAWS, Target
 from tactile_hand_ros.control.slip.regulator import SlipRegulator
 from tactile_hand_ros.errors import BagError
+from tactile_hand_ros.hand.joints import Joints
 from tactile_hand_ros.run.run import Run
 from tactile_hand_ros.scenario.scenario import Scenario, load_scenario, resolved
 from tactile_hand_ros.verify.recompute import ShadowLoop, compare, recompute
@@ -105,20 +106,20 @@ def without_touch(scenario: Scenario, record: Record, held: tuple, silent: tuple
         controller.targets.command(target.target(), target.stamp)
     answers = ("forces", "grasp_force", "friction", "slip_evidence", "grip", "command")
     for row, stamp in enumerate(record.stamps.tolist()):
-        theta, rates, forces = record.theta[row], record.rates[row], record.forces[row]
+        joints, forces = Joints(record.theta[row], record.rates[row]), record.forces[row]
         touch = record.contact_positions[row], record.contact_quaternions[row]
         contacts = Contacts.from_poses(*touch)
         if row in held + silent:
             for name in (*answers, "auxiliary_position", "auxiliary_quaternion"):
                 getattr(out, name)[row] = np.nan
             if row in held:
-                out.command[row] = controller.hold(theta, rates, "no forces").torque
+                out.command[row] = controller.hold(joints, "no forces").torque
             continue
         out.grasp_force[row] = regulator.step(stamp, contacts, forces)
         out.friction[row], out.grip[row] = regulator.learned_friction, regulator.state
         out.slip_evidence[row] = regulator.slip_likelihood
         f, k_f = record.optimal_forces[row], float(out.grasp_force[row])
-        out.command[row] = controller.step(stamp, theta, rates, contacts, f, k_f).torque
+        out.command[row] = controller.step(stamp, joints, contacts, f, k_f).torque
     return out
 
 
