@@ -115,11 +115,10 @@ class _Regulator(_Block):
         self.block.joints_held = held
 
     def step(
-        self, stamp: int, contacts: Contacts | None, forces: Array | None, pressed: Array | None
+        self, stamp: int, joints: Joints, contacts: Contacts | None, forces: Array | None
     ) -> Any:
-        inputs = contacts, forces, pressed
-        is_complete = all(each is not None for each in inputs)
-        answer = self.block.step(stamp, *inputs) if is_complete else None
+        is_missing = joints is _NO_JOINTS or contacts is None or forces is None
+        answer = None if is_missing else self.block.step(stamp, joints, contacts, forces)
         return self._carry("grasp force", answer, lambda value: value and _FACTOR * value)
 
 
@@ -265,8 +264,7 @@ class FaultyLoop(GuardedLoop):
             self.chain.plugged.block = Controller(loop.scenario.manipulation_controller)
         elif cell.component == space.REGULATOR:
             regulator: Any = self.chain.regulator
-            how, hand = loop.scenario.slip_regulator, loop.plant.hand
-            regulator.block = SlipRegulator(how, hand.fingers, hand.finger_weight)
+            regulator.block = SlipRegulator(loop.scenario.slip_regulator)
         self.chain.pass_back()
 
 

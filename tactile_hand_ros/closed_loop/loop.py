@@ -48,8 +48,7 @@ class Chain:
 
     def answer(self, stamp: int, joints: Joints, contacts: Contacts, forces: Array) -> Answer:
         """Return the answer to a tick [ns]; see `Controller.step` for joints and touch."""
-        pressed = self.controller.hand.pressed_by(joints)
-        grasp_force = self.regulator.step(stamp, contacts, forces, pressed)
+        grasp_force = self.regulator.step(stamp, joints, contacts, forces)
         optimal = self.optimizer.step(stamp, contacts, self.regulator.carried, grasp_force)
         touch = contacts, optimal.forces, grasp_force, forces
         command = self.controller.step(stamp, joints, *touch)
@@ -102,7 +101,7 @@ class ClosedLoop:
         self.plant = make_plant(scenario.plant)
         hand = self.plant.model  # the nominal one, which the controllers know
         self.chain = SensingChain(
-            SlipRegulator(scenario.slip_regulator, hand.fingers, hand.finger_weight),
+            SlipRegulator(scenario.slip_regulator),
             ForceOptimizer(scenario.force_optimizer, hand.fingers),
             Controller(scenario.manipulation_controller),
             TactileSensor(scenario.tactile_sensor, hand.radii, hand),

@@ -170,14 +170,14 @@ class SlipRegulatorNode(TactileNode[SlipRegulatorConfig]):
         `joints_held`, so the node does not subscribe to these inputs.
         """
         super().__init__("slip_regulator", SlipRegulatorConfig, **kwargs)
-        self._hand = Hand.load(self.config.hand, self.config.layout)
-        fingers = self._fingers = self._hand.finger_names
-        self._regulator = SlipRegulator(self.config, len(fingers), self._hand.finger_weight)
+        self._regulator = SlipRegulator(self.config)
+        hand = self._regulator.hand
+        fingers = self._fingers = hand.finger_names
         self._changes = AppliedChanges(self, names.REGULATOR, commands=True)
         self._report = RegulatorReport(self.diagnostics, fingers)
         self._modes = ModeLog(self.get_logger().info)
         self._modes.note(self.config.mode)
-        self._rehearse(len(fingers))
+        self._rehearse(hand)
         grips = JointCodec(fingers).encode
         self._grip_publisher = self.tick_publisher(JointState, names.GRIP_STATE, grips)
         margins = JointCodec(fingers, ("position", "effort")).encode
@@ -200,8 +200,8 @@ class SlipRegulatorNode(TactileNode[SlipRegulatorConfig]):
             latched = qos.latched_qos(qos.USER_DEPTH)
             self.subscribe(String, names.TOUCH_REJECTED, self._on_touch_rejected, profile=latched)
             self.subscribe(Bool, names.JOINT_HOLD, self._on_joint_hold, profile=latched)
-            touch = streams.contacts(len(fingers)), streams.forces(fingers)
-            declared = (*touch, streams.joints(self._hand.joint_names))
+            joints = streams.joints(hand.joint_names)
+            declared = joints, streams.contacts(hand.fingers), streams.forces(fingers)
             self._inputs = TickInputs(self, declared, self, observe=self.observe)
 
     @property
@@ -209,11 +209,14 @@ class SlipRegulatorNode(TactileNode[SlipRegulatorConfig]):
         """The load that f* must carry; see `SlipRegulator`."""
         return self._regulator.carried
 
-    def _rehearse(self, fingers: int) -> None:
-        touch, regulator = example_touch(fingers), self._regulator
-        still = np.zeros(self._hand.joints)
+    def _rehearse(self, hand: Hand) -> None:
+        touch, regulator, still = (
+            example_touch(hand.fingers),
+            self._regulator,
+            np.zeros(hand.joints),
+        )
         for stamp in (0, 1):  # the second knows the load
-            regulator.step(stamp, *touch, self._hand.pressed_by(Joints(still, still, still)))
+            regulator.step(stamp, Joints(still, still, still), *touch)
         self._report.note(regulator, 0, *touch, GripState.of(regulator))
         self.on_restart()
 
@@ -269,17 +272,15 @@ class SlipRegulatorNode(TactileNode[SlipRegulatorConfig]):
         response.success, response.message = True, f"k_f = {self._regulator.grasp_force:g} N"
         return response
 
-    def on_tick(self, stamp: int, contacts: Contacts, forces: Array, joints: Joints) -> None:
+    def on_tick(self, stamp: int, joints: Joints, contacts: Contacts, forces: Array) -> None:
         """Answer a complete tick."""
-        self.step(stamp, contacts, forces, self._hand.pressed_by(joints))
+        self.step(stamp, joints, contacts, forces)
 
-    def step(
-        self, stamp: int, contacts: Contacts, forces: Array, pressed: Array | None = None
-    ) -> float:
+    def step(self, stamp: int, joints: Joints, contacts: Contacts, forces: Array) -> float:
         """Publish grip, load and k_f and return k_f; see `SlipRegulator.step`."""
         with self.answering():
             regulator, maximum = self._regulator, self.config.maximum
-            grasp_force = regulator.step(stamp, contacts, forces, pressed)
+            grasp_force = regulator.step(stamp, joints, contacts, forces)
             if not 0.0 <= grasp_force <= maximum:
                 raise UnsafeOutputError(
                     f"k_f = {grasp_force} N is outside 0 to {maximum} N and was not published; "
@@ -296,10 +297,9 @@ class SlipRegulatorNode(TactileNode[SlipRegulatorConfig]):
             self._publish_haptics(stamp, grasp_force / maximum, float(state.evidence.max()))
         return grasp_force
 
-    def observe(self, stamp: int, contacts: Contacts, forces: Array, joints: Joints) -> None:
+    def observe(self, stamp: int, joints: Joints, contacts: Contacts, forces: Array) -> None:
         """Process a skipped tick, because slip detection needs every sample."""
-        pressed = self._hand.pressed_by(joints)
-        self._regulator.step(stamp, contacts, forces, pressed)
+        self._regulator.step(stamp, joints, contacts, forces)
         self._changes.take_effect(stamp)
 
     def _publish_haptics(self, stamp: int, grip: float, slip: float) -> None:

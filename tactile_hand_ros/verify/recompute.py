@@ -125,9 +125,11 @@ class ShadowLoop(Chain):
         self._inputs = inputs
         self._waiting = {node: deque(inputs.changes[node]) for node in CONTROLLERS}
         first = {node: changes.popleft().value for node, changes in self._waiting.items()}
-        controller = Controller(first[names.CONTROLLER])
-        regulator = SlipRegulator(first[names.REGULATOR], k, controller.hand.finger_weight)
-        blocks: tuple[Any, ...] = regulator, ForceOptimizer(first[names.OPTIMIZER], k), controller
+        blocks: tuple[Any, ...] = (
+            SlipRegulator(first[names.REGULATOR]),
+            ForceOptimizer(first[names.OPTIMIZER], k),
+            Controller(first[names.CONTROLLER]),
+        )
         self._blocks = dict(zip(CONTROLLERS, blocks, strict=True))
         nothing = (
             np.nan,
@@ -168,8 +170,8 @@ class ShadowLoop(Chain):
             self._change(node, stamp)
         if np.isfinite(r.palm[row]).all():
             self._blocks[names.CONTROLLER].turn_palm(r.palm[row])
-        joints = Joints(r.theta[row], r.rates[row], r.torque[row])
-        grasp_force, optimal, command = self.answer(stamp, joints, contacts, r.forces[row])
+        seen = self._joints(row), contacts, r.forces[row]
+        grasp_force, optimal, command = self.answer(stamp, *seen)
         out.grasp_force[row], out.optimal_forces[row] = grasp_force, optimal.forces
         if np.isfinite(grasp_force):
             out.grip[row], out.slip_evidence[row] = regulator.state, regulator.slip_likelihood
@@ -183,9 +185,12 @@ class ShadowLoop(Chain):
         r = self._inputs.record
         stamp, why = int(r.stamps[row]), "inputs are missing"
         self._change(names.CONTROLLER, stamp)
-        joints = Joints(r.theta[row], r.rates[row], r.torque[row])
-        held = self.controller.hold(joints, why, stamp=stamp)
+        held = self.controller.hold(self._joints(row), why, stamp=stamp)
         self._out.command[row] = held.torque
+
+    def _joints(self, row: int) -> Joints:
+        r = self._inputs.record
+        return Joints(r.theta[row], r.rates[row], r.torque[row])
 
     def _change(self, node: str, stamp: int) -> None:
         """Apply the changes of a node up to a tick [ns]."""

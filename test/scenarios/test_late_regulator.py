@@ -19,8 +19,8 @@ SECONDS = {"pull": 2.3, "gravity": 1.8, "slippery": 3.3, "heavy": 2.6}
 class LateRegulator(SlipRegulator):
     """Processes every tick, answers some of them, and answers late."""
 
-    def __init__(self, config, *hand):
-        super().__init__(config, *hand)
+    def __init__(self, config):
+        super().__init__(config)
         self._count, self._sent = 0, deque([config.grasp_force], maxlen=LATE + 1)
 
     def step(self, *inputs):
@@ -34,8 +34,7 @@ class LateRegulator(SlipRegulator):
 def test_a_regulator_that_is_three_ticks_late_keeps_the_object(name):
     scenario = load_scenario(name)
     loop = ClosedLoop(scenario)
-    hand = loop.plant.hand.fingers, loop.plant.hand.finger_weight
-    loop.chain.regulator = LateRegulator(scenario.slip_regulator, *hand)
+    loop.chain.regulator = LateRegulator(scenario.slip_regulator)
     record = loop.run(round(SECONDS[name] * scenario.plant.rate))
     assert np.isfinite(record.true_positions[-1]).all()
     assert record.true_slid[-1].max() < 5e-3

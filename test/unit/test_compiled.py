@@ -104,16 +104,19 @@ REGULATED = """
 import numpy as np
 from tactile_hand_ros.control.contact import example_touch
 from tactile_hand_ros.control.slip.regulator import SlipRegulator, SlipRegulatorConfig
+from tactile_hand_ros.hand.joints import Joints
 
-contacts, normal = example_touch(4)
-regulator = SlipRegulator(SlipRegulatorConfig(mode="auto", maximum=500.0), 4, 4.905)
-random = np.random.default_rng(1)
+contacts, normal = example_touch(3)
+regulator = SlipRegulator(SlipRegulatorConfig(mode="auto", maximum=500.0))
+random, bent = np.random.default_rng(1), np.linspace(0.1, 0.9, 9)
 out = []
 for i in range(600):
     rms = 0.3 if 200 <= i < 230 or 450 <= i < 470 else 0.01
-    forces = np.array([1.0, 0.0, 0.7]) + 3.0 * normal + rms * random.standard_normal((4, 3))
-    forces[2, 1] *= 0.2
-    k_f = regulator.step(2_000_000 * i, contacts, forces if i != 300 else np.full((4, 3), np.nan))
+    forces = np.array([1.0, 0.0, 0.7]) + 3.0 * normal + rms * random.standard_normal((3, 3))
+    forces[1, 1] *= 0.2
+    joints = Joints(bent, 0.0 * bent, 0.01 * random.standard_normal(9))
+    seen = forces if i != 300 else np.full((3, 3), np.nan)
+    k_f = regulator.step(2_000_000 * i, joints, contacts, seen)
     out.append([k_f, regulator.needed, *regulator.learned_friction, *regulator.slip_likelihood])
     out[-1].extend(regulator.state)
 assert sum(row[-1] == 2.0 for row in out) > 10  # the last contact has slipped

@@ -22,6 +22,8 @@ from tactile_hand_ros.control.slip.grasp_force import (
     SlipResponseConfig,
 )
 from tactile_hand_ros.errors import MessageError
+from tactile_hand_ros.hand.hand import Hand
+from tactile_hand_ros.hand.joints import Joints
 
 _AGE = 20_000_000  # ns; a restored estimate is at least this old, and at most twice
 _LANDING = 0.05  # s, time constant of the approach to the user's grasp force
@@ -76,6 +78,7 @@ class SlipRegulator:
     raised by each slip until the next request.
 
     Attributes:
+        hand: The hand, which knows its fingers and joints.
         grasp_force: k_f, N.
         goal: Grasp force that the user requested last, N; applied inside the limits.
         needed: Required grasp force, N; infinite if no grasp force of this shape holds, NaN while
@@ -84,12 +87,13 @@ class SlipRegulator:
         carried: Load, usable friction and reserve behind both, for f*.
     """
 
-    def __init__(self, config: SlipRegulatorConfig, fingers: int, finger_weight: float) -> None:
-        """Start at the configured grasp force of k fingers, each of a weight in N."""
-        self.config, self._fingers = config, fingers
+    def __init__(self, config: SlipRegulatorConfig) -> None:
+        """Start at the configured grasp force; raise HandModelError if the hand cannot be built."""
+        self.config, self.hand = config, Hand.load(config.hand, config.layout)
+        fingers = self._fingers = self.hand.fingers
         self._detector = SlipDetector(config.detector, fingers)
         self._estimator = FrictionEstimator(config.friction, fingers)
-        self._required = RequiredGraspForce(config.reserve, fingers, finger_weight)
+        self._required = RequiredGraspForce(config.reserve, fingers, self.hand.finger_weight)
         self._response = SlipResponse(config.reflex, config.grasp_force)
         self._rejected, self._held = np.zeros(fingers, dtype=bool), False
         self.reset()
@@ -186,20 +190,17 @@ class SlipRegulator:
             )
         self.goal, self._raised = grasp_force, 0.0
 
-    def step(
-        self, stamp: int, contacts: Contacts, forces: Array, pressed: Array | None = None
-    ) -> float:
+    def step(self, stamp: int, joints: Joints, contacts: Contacts, forces: Array) -> float:
         """Return k_f at a tick, ns, in N; the same tick again has no effect.
 
         Contacts are those by touch, and their measured forces in contact frames, (k, 3), N.
-        `pressed` are the forces by the joint torques, see `SlipDetector.step`.
         """
         dt = 0.0 if self._last_stamp is None else max(0.0, 1e-9 * (stamp - self._last_stamp))
         if self._last_stamp == stamp:
             return self.grasp_force
         self._last_stamp = stamp
         self._follow_user(dt)
-        self._follow_touch(stamp, contacts, forces, pressed, dt)
+        self._follow_touch(stamp, joints, contacts, forces, dt)
         c = self.config
         goal = self._asked
         if c.mode != "user":
@@ -217,7 +218,7 @@ class SlipRegulator:
         self._asked = goal if arrives else self._asked + rate * dt
 
     def _follow_touch(
-        self, stamp: int, contacts: Contacts, measured: Array, pressed: Array | None, dt: float
+        self, stamp: int, joints: Joints, contacts: Contacts, measured: Array, dt: float
     ) -> None:
         """Update slip, friction and the needed grasp force from touch."""
         if not contacts.touching.any():
@@ -242,6 +243,7 @@ class SlipRegulator:
         grasped = self._is_grasped(contacts)
         axes = parts.internal if parts is not None and grasped else normals
         seen = forces if learns else np.full_like(forces, np.nan)
+        pressed = self.hand.pressed_by(joints)
         slips, slides = self._watch(seen, normals, axes, fresh, pressed, dt)
         self._update_need(contacts, parts, at, dt, grasped)
         if self.config.mode == "user":

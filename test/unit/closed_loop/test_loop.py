@@ -176,8 +176,8 @@ HIDDEN = {
 
 def replay(scenario, seen):
     """Return the torques of the controller blocks for recorded joints and touch."""
+    regulator = SlipRegulator(scenario.slip_regulator)
     controller = Controller(scenario.manipulation_controller)
-    regulator = SlipRegulator(scenario.slip_regulator, 3, controller.hand.finger_weight)
     chain = Chain(regulator, ForceOptimizer(scenario.force_optimizer, 3), controller)
     for wish in scenario.targets:
         chain.controller.targets.command(wish.target(), wish.stamp)

@@ -30,6 +30,7 @@ from tactile_hand_ros.hand.hand import Fingertips, Hand
 from tactile_hand_ros.hand.joints import Joints
 from tactile_hand_ros.scenario.scenario import load_scenario
 
+STILL = Joints(np.zeros(12), np.zeros(12))  # of four fingers
 GAINS = {f"manipulation_controller.law.{name}": 0.0 for name in ("k_p", "k_o", "damping")}
 BLOW = {"kind": "pulse", "start": 0.3, "duration": 0.03, "force": [-22.0, 0.0, 0.0]}
 
@@ -128,31 +129,36 @@ def test_f_star_is_that_of_a_hand_with_just_the_fingers_that_touch(fingers, with
         assert (found.forces[without] == 0.0).all()
 
 
-def test_the_grasp_force_stays_where_the_others_need_no_more():
+def four_fingers(folder):
+    """Return a regulator in mode `auto` of a hand with four fingers."""
+    return SlipRegulator(SlipRegulatorConfig(mode="auto", hand=str(write_hand(folder, [3] * 4))))
+
+
+def test_the_grasp_force_stays_where_the_others_need_no_more(tmp_path):
     """Two fingers carry nearly all of the load; one of the other two opens."""
-    regulator = SlipRegulator(SlipRegulatorConfig(mode="auto"), 4, 4.905)
+    regulator = four_fingers(tmp_path)
     forces = np.array([[0.0, x, 0.0] for x in (4.0, 0.2, 4.0, 0.2)])
     for tick in range(300):
         contacts = ring(4, [3] if tick >= 200 else [])
         forces[3] = 0.2 * (tick < 200)
         seen = np.where(forces > 0.0, forces + 1e-3 * np.sin(tick + np.arange(4.0))[:, None], 0.0)
-        regulator.step(1_000_000 * tick, contacts, seen)
+        regulator.step(1_000_000 * tick, STILL, contacts, seen)
         if tick == 199:
             before = regulator.grasp_force
     assert regulator.grasp_force < 1.3 * before
 
 
 @pytest.mark.parametrize("every", [2, 40])
-def test_a_contact_that_flickers_leaves_the_others_their_reserve(every):
+def test_a_contact_that_flickers_leaves_the_others_their_reserve(tmp_path, every):
     k_f = {}
     for flickers in (False, True):
-        regulator = SlipRegulator(SlipRegulatorConfig(mode="auto"), 4, 4.905)
+        regulator = four_fingers(tmp_path)
         for tick in range(2000):
             lost = flickers and tick % every == 0
             noise = 1e-3 * np.sin(tick + np.arange(12.0)).reshape(4, 3)
             forces = np.array([0.0, 3.0, 0.0]) + noise
             forces[3] *= not lost
-            regulator.step(1_000_000 * tick, ring(4, [3] if lost else []), forces)
+            regulator.step(1_000_000 * tick, STILL, ring(4, [3] if lost else []), forces)
         k_f[flickers] = regulator.grasp_force
     assert k_f[True] > 0.9 * k_f[False]
 

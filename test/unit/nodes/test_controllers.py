@@ -52,7 +52,7 @@ def level(node: Any) -> tuple[bytes, str]:
 def tick(node: Any, stamp: int, forces: Any = PUSH, **changes: Any) -> Any:
     """Let a node answer a tick, with the inputs of the paper's grasp or changed ones."""
     if isinstance(node, SlipRegulatorNode):
-        return node.step(stamp, STATE.contacts, forces)
+        return node.step(stamp, JOINTS, STATE.contacts, forces)
     if isinstance(node, ForceOptimizerNode):
         return node.step(stamp, changes.get("contacts", STATE.contacts), FRICTION, forces)
     shape = changes.get("shape", FRACTIONS)
@@ -201,7 +201,7 @@ def test_a_late_regulator_uses_the_ticks_that_it_does_not_answer(here):
         if row % 3 == 2:
             assert tick(late, row * TICK, force) == expected
         else:
-            late.observe(row * TICK, STATE.contacts, force, JOINTS)
+            late.observe(row * TICK, JOINTS, STATE.contacts, force)
     assert len(sent["grasp_force"]) == 10
 
 

@@ -101,7 +101,7 @@ def without_touch(scenario: Scenario, record: Record, held: tuple, silent: tuple
     """Return a run without the forces of some ticks, during which it held or did not answer."""
     out = copy.deepcopy(record)
     controller = Controller(scenario.manipulation_controller)
-    regulator = SlipRegulator(scenario.slip_regulator, 3, controller.hand.finger_weight)
+    regulator = SlipRegulator(scenario.slip_regulator)
     for target in scenario.targets:
         controller.targets.command(target.target(), target.stamp)
     answers = ("forces", "grasp_force", "friction", "slip_evidence", "grip", "command")
@@ -115,7 +115,7 @@ def without_touch(scenario: Scenario, record: Record, held: tuple, silent: tuple
             if row in held:
                 out.command[row] = controller.hold(joints, "no forces").torque
             continue
-        out.grasp_force[row] = regulator.step(stamp, contacts, forces)
+        out.grasp_force[row] = regulator.step(stamp, joints, contacts, forces)
         out.friction[row], out.grip[row] = regulator.learned_friction, regulator.state
         out.slip_evidence[row] = regulator.slip_likelihood
         f, k_f = record.optimal_forces[row], float(out.grasp_force[row])

@@ -13,6 +13,7 @@ from tactile_hand_ros.control.loads import split
 from tactile_hand_ros.control.slip.detector import ContactState
 from tactile_hand_ros.control.slip.regulator import SlipRegulator, SlipRegulatorConfig
 from tactile_hand_ros.errors import ConfigurationError, MessageError
+from tactile_hand_ros.hand.joints import Joints
 from tactile_hand_ros.rotations import rotation_from_vector
 from tactile_hand_ros.scenario.scenario import load_scenario
 
@@ -21,22 +22,25 @@ TICK = 2_000_000
 WEIGHT = 4.905  # of a finger of the paper's hand, N
 ALL = np.ones(3, dtype=bool)
 NO_TOUCH = three_faces().without(ALL), np.zeros((3, 3))
+STILL = Joints(np.zeros(9), np.zeros(9))  # and unknown torques
 NO_RESERVE = {"floor": 0.0, "fraction": 0.0}
 ON_A_LINE = np.array([[0.0, 2.0, 0.0], [0.0, 2.0, 0.0], [0.0, 4.0, 0.0]])  # forces, N
 
 
 def regulator(**values):
-    return SlipRegulator(SlipRegulatorConfig(**values), 3, WEIGHT)
+    return SlipRegulator(SlipRegulatorConfig(**values))
 
 
 def grasp_forces(slip, ticks, *seen, start=0):
     """Return k_f at each of the ticks, at which the same contacts and forces are seen."""
-    return np.array([slip.step((start + i) * TICK, *(seen or NO_TOUCH)) for i in range(ticks)])
+    return np.array(
+        [slip.step((start + i) * TICK, STILL, *(seen or NO_TOUCH)) for i in range(ticks)]
+    )
 
 
 def test_rises_and_falls_at_its_rates_and_lands_exactly_on_the_goal():
     slip = regulator(grasp_force=5.0, rise_rate=50.0, fall_rate=20.0)
-    slip.step(0, *NO_TOUCH)
+    slip.step(0, STILL, *NO_TOUCH)
     slip.request(20.0)
     up = grasp_forces(slip, 1000, start=1)
     slip.request(5.0)
@@ -51,13 +55,15 @@ def test_rises_and_falls_at_its_rates_and_lands_exactly_on_the_goal():
     landing = 20.0 - up[300:400]
     np.testing.assert_allclose(landing[1:] / landing[:-1], 1.0 - 0.002 / 0.05, rtol=1e-3)
     slip.request(15.0)
-    assert slip.step(10**12, *NO_TOUCH) == 15.0  # a long silence lands on the goal, not beyond
+    assert (
+        slip.step(10**12, STILL, *NO_TOUCH) == 15.0
+    )  # a long silence lands on the goal, not beyond
 
 
 @pytest.mark.parametrize("force", [0.4, 41.0, -1.0, float("nan"), float("inf")])
 def test_what_is_outside_the_limits_is_refused_and_changes_nothing(force):
     slip = regulator(grasp_force=10.0, minimum=0.5, maximum=40.0)
-    slip.step(0, *NO_TOUCH)
+    slip.step(0, STILL, *NO_TOUCH)
     with pytest.raises(MessageError, match=r"outside 0.5 to 40.0 N"):
         slip.request(force)
     np.testing.assert_array_equal(grasp_forces(slip, 10, start=1), 10.0)
@@ -71,7 +77,7 @@ def test_a_clock_that_starts_again_makes_no_jump():
     grasp_forces(slip, 10, start=1000)
     slip.request(20.0)
     before = slip.grasp_force
-    assert abs(slip.step(0, *NO_TOUCH) - before) <= 50.0 * 0.002
+    assert abs(slip.step(0, STILL, *NO_TOUCH) - before) <= 50.0 * 0.002
     assert grasp_forces(slip, 2000, start=1)[-1] == pytest.approx(20.0)
 
 
@@ -82,7 +88,7 @@ def test_a_new_limit_takes_hold_at_once_and_leaves_no_jump_for_when_it_is_lifted
     asked, limits, bound
 ):
     slip = regulator(grasp_force=10.0)
-    slip.step(0, *NO_TOUCH)
+    slip.step(0, STILL, *NO_TOUCH)
     slip.request(asked)
     assert grasp_forces(slip, 1500, start=1)[-1] == pytest.approx(asked)
     slip.configure(SlipRegulatorConfig(**limits))
@@ -110,7 +116,7 @@ def run(slip, ticks, slides=(), contacts=None, forces=FORCES, seed=0):
     rms = np.array([0.15 if finger in slides else 0.005 for finger in range(3)])[:, None]
     for i in range(ticks):
         now = forces + rms * random.standard_normal((3, 3))
-        force = slip.step(i * TICK, contacts or three_faces(), now)
+        force = slip.step(i * TICK, STILL, contacts or three_faces(), now)
         likelihood = slip.slip_likelihood
         told.append([force, slip.needed, *slip.learned_friction, *slip.state, *likelihood])
     return np.array(told)
@@ -197,7 +203,7 @@ def test_a_contact_that_fails_to_report_is_no_load_however_long_k_f_follows(last
         if tick == 1000:
             before = k_f
         forces = np.where(seen.touching[:, None], k_f * shape + noise, 0.0)
-        k_f = slip.step(tick * 1_000_000, seen, forces)
+        k_f = slip.step(tick * 1_000_000, STILL, seen, forces)
     assert k_f <= 2.2 * before
 
 
@@ -210,12 +216,12 @@ def test_the_load_that_has_torn_a_contact_off_is_carried_by_the_others_and_count
     found = grasp_forces(slip, 3, parted(2), torn, start=300)[-1]
     assert min(found, slip.needed) > 20.0  # and it rises by 8 N a tick
     again = regulator(mode="auto", grasp_force=4.0, maximum=200.0, reserve=NO_RESERVE)
-    again.step(0, parted(2), torn)  # never complete: the grasp is unknown
+    again.step(0, STILL, parted(2), torn)  # never complete: the grasp is unknown
     assert np.isnan(again.needed)
 
 
 def carried(slip, contacts, forces, at=1000):
-    slip.step(at * TICK, contacts, forces)
+    slip.step(at * TICK, STILL, contacts, forces)
     return slip.carried
 
 
@@ -273,9 +279,9 @@ def test_the_rejected_touch_of_one_finger_counts_as_none(finger):
     for i in range(300, 600):
         wrong = np.where(unfelt[:, None], 9.0 * np.sin(i), 3.0 * FORCES)
         before = rejecting.grasp_force
-        assert rejecting.step(i * TICK, three_faces(), wrong) >= before > 10.0
+        assert rejecting.step(i * TICK, STILL, three_faces(), wrong) >= before > 10.0
         blank = np.where(unfelt[:, None], 0.0, 3.0 * FORCES)
-        without.step(i * TICK, three_faces().without(unfelt), blank)
+        without.step(i * TICK, STILL, three_faces().without(unfelt), blank)
         assert rejecting.needed == pytest.approx(without.needed, rel=0.01)
         learned = rejecting.learned_friction, without.learned_friction
         np.testing.assert_allclose(*learned, rtol=0.01)  # that of the last 40 ms is forgotten
@@ -288,9 +294,9 @@ def test_friction_is_kept_while_nothing_touches_but_a_rejected_finger():
     learned = slip.learned_friction
     slip.reject_touch(np.array([True, False, False]))
     gone = three_faces().without(np.array([False, True, True]))
-    slip.step(300 * TICK, gone, 3.0 * FORCES)
+    slip.step(300 * TICK, STILL, gone, 3.0 * FORCES)
     np.testing.assert_allclose(slip.learned_friction, learned, rtol=0.05)
-    slip.step(301 * TICK, gone.without(ALL), 3.0 * FORCES)
+    slip.step(301 * TICK, STILL, gone.without(ALL), 3.0 * FORCES)
     assert np.abs(slip.learned_friction / learned - 1.0).max() > 0.1
 
 
@@ -300,7 +306,7 @@ def test_jerks_along_the_grasp_force_of_each_finger_are_no_slip():
     slip, random = regulator(mode="auto"), np.random.default_rng(6)
     for i in range(100):
         jerk = random.standard_normal() if i > 50 else 0.0
-        slip.step(i * TICK, three_faces(), (10.0 + jerk) * shape)
+        slip.step(i * TICK, STILL, three_faces(), (10.0 + jerk) * shape)
     assert (slip.state == STICK).all() and not slip.slip_likelihood.any()
 
 
@@ -318,8 +324,8 @@ def test_a_tick_that_comes_twice_changes_nothing():
     random = np.random.default_rng(4)
     for i in range(200):
         forces = FORCES + 0.02 * random.standard_normal((3, 3))
-        found = [slip.step(i * TICK, three_faces(), forces) for slip in (once, twice)]
-        found.append(twice.step(i * TICK, three_faces(), 5.0 * FORCES[::-1]))
+        found = [slip.step(i * TICK, STILL, three_faces(), forces) for slip in (once, twice)]
+        found.append(twice.step(i * TICK, STILL, three_faces(), 5.0 * FORCES[::-1]))
         assert len(set(found)) == 1
         np.testing.assert_array_equal(once.slip_likelihood, twice.slip_likelihood)
         np.testing.assert_array_equal(once.learned_friction, twice.learned_friction)
@@ -335,7 +341,7 @@ def shocked():
     known, ready = slip.learned_friction, slip.ready
     for i in range(300, 310):
         shaken = 4.0 * FORCES * [0.2, 1.0, 0.2] + 0.4 * random.standard_normal((3, 3))
-        slip.step(i * TICK, three_faces(), shaken)
+        slip.step(i * TICK, STILL, three_faces(), shaken)
     assert (slip.learned_friction < 0.9 * known).any()
     return slip, known, ready
 
@@ -360,7 +366,7 @@ def test_a_load_that_has_come_while_touch_was_doubted_is_met_at_once():
     slip.reject_touch(ALL)
     before = grasp_forces(slip, 100, three_faces(), HEAVY, start=300)[-1]
     slip.reject_touch(~ALL)
-    assert slip.step(400 * TICK, three_faces(), HEAVY) == slip.needed > before + 0.5
+    assert slip.step(400 * TICK, STILL, three_faces(), HEAVY) == slip.needed > before + 0.5
 
 
 def test_while_the_joints_are_held_the_load_counts_and_slips_do_not():
@@ -369,13 +375,13 @@ def test_while_the_joints_are_held_the_load_counts_and_slips_do_not():
     slip.joints_held = True
     np.testing.assert_allclose(slip.learned_friction, known, rtol=0.01)
     for i in range(310, 400):
-        slip.step(i * TICK, three_faces(), HEAVY + 0.15 * random.standard_normal((3, 3)))
+        slip.step(i * TICK, STILL, three_faces(), HEAVY + 0.15 * random.standard_normal((3, 3)))
         assert (slip.state == UNKNOWN).all()
     np.testing.assert_allclose(slip.learned_friction, known, rtol=0.01)
-    held = slip.step(400 * TICK, three_faces(), HEAVY)
+    held = slip.step(400 * TICK, STILL, three_faces(), HEAVY)
     assert before + 0.5 < slip.needed <= held < 3.0 * slip.needed
     slip.joints_held = False
-    assert slip.step(401 * TICK, three_faces(), HEAVY) == pytest.approx(held, rel=0.1)
+    assert slip.step(401 * TICK, STILL, three_faces(), HEAVY) == pytest.approx(held, rel=0.1)
 
 
 def test_a_skin_that_freezes_while_it_shows_slip_does_not_drive_the_grasp_force_up():
@@ -383,7 +389,7 @@ def test_a_skin_that_freezes_while_it_shows_slip_does_not_drive_the_grasp_force_
     run(slip, 300)
     for seed in range(100):  # until it is found
         shaken = FORCES + 0.15 * np.random.default_rng(seed).standard_normal((3, 3))
-        slip.step((300 + seed) * TICK, three_faces(), shaken)
+        slip.step((300 + seed) * TICK, STILL, three_faces(), shaken)
         if SLIP in slip.state:
             break
     found = slip.grasp_force
@@ -396,7 +402,7 @@ def test_what_is_released_and_grasped_again_may_be_another_object():
     run(slip, 300)
     run(slip, 20, slides=(0, 1, 2))
     assert (slip.learned_friction != 0.4).any()
-    slip.step(10**9, three_faces().without(ALL), np.zeros((3, 3)))
+    slip.step(10**9, STILL, three_faces().without(ALL), np.zeros((3, 3)))
     np.testing.assert_array_equal(slip.learned_friction, 0.4)
 
 
@@ -418,7 +424,9 @@ def test_the_palm_may_be_turned_in_any_way(way):
         palm = in_palm(contacts.rotations, forces, 1.0)
         for slip, turn in zip(slips, (np.eye(3), rotation), strict=True):
             there = turned(contacts, turn)
-            slip.step(i * TICK, there, np.einsum("kji,kj->ki", there.rotations, palm @ turn.T))
+            slip.step(
+                i * TICK, STILL, there, np.einsum("kji,kj->ki", there.rotations, palm @ turn.T)
+            )
         plain, other = slips
         np.testing.assert_array_equal(plain.state, other.state)
         assert other.grasp_force == pytest.approx(plain.grasp_force, rel=1e-9)
@@ -452,7 +460,7 @@ def normal_run(slip, start, ticks, slides=False, seed=0):
     for i in range(start, start + ticks):
         forces = np.full((3, 3), np.nan)
         forces[:, 1] = FORCES[:, 1] + (0.15 if slides else 0.005) * random.standard_normal(3)
-        told.append(slip.step(i * 1_000_000, three_faces(), forces))
+        told.append(slip.step(i * 1_000_000, STILL, three_faces(), forces))
     return np.array(told)
 
 
@@ -481,7 +489,7 @@ def test_the_next_object_is_pressed_as_the_user_asks():
     slip = regulator(mode="auto", grasp_force=8.0)
     normal_run(slip, 0, 1000)
     assert normal_run(slip, 1000, 40, slides=True)[-1] == 16.0
-    slip.step(1_040_000_000, three_faces().without(ALL), np.full((3, 3), np.nan))
+    slip.step(1_040_000_000, STILL, three_faces().without(ALL), np.full((3, 3), np.nan))
     assert normal_run(slip, 1041, 2000)[-1] == pytest.approx(8.0)
 
 
@@ -489,7 +497,7 @@ def test_without_touch_the_required_grasp_force_is_unknown():
     slip = regulator(mode="auto")
     run(slip, 500)
     assert np.isfinite((slip.needed, slip.ready)).all()
-    slip.step(500 * TICK, *NO_TOUCH)
+    slip.step(500 * TICK, STILL, *NO_TOUCH)
     assert np.isnan((slip.needed, slip.ready)).all()
 
 
@@ -501,7 +509,7 @@ def test_a_slip_is_seen_also_where_some_fingers_measure_normal_forces_only(bare)
         noise = 0.15 if i > 1000 else 0.005
         forces = FORCES + np.array([0.0, noise, 0.0]) * random.standard_normal((3, 1))
         forces[bare, ::2] = np.nan
-        slip.step(i * 1_000_000, three_faces(), forces)
+        slip.step(i * 1_000_000, STILL, three_faces(), forces)
         assert i > 1000 or slip.grasp_force == 8.0
     assert slip.grasp_force == 16.0
 
