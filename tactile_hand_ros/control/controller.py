@@ -57,7 +57,6 @@ _NOT_FINITE = "the law gives no finite torque; holding until its inputs are plau
 _LONGEST_GAP = 0.05  # s; after a longer pause a tick integrates and moves no more than this
 _SHORTEST_LEVER = 1e-6  # m, far below any hand's; keeps the linear system regular
 _MOVES_UNTIL = 0.8  # fraction of the limit of k_f at which a move stops, before the load grows
-_FIRST_PERIOD = 0.01  # s between ticks, assumed before the second tick
 _INTERVALS = 32  # between ticks; a quarter is shorter than the period, as stamps jitter, and many
 # are longer on a busy computer, which skips ticks
 _OPPOSES = 0.4  # of the normal forces; a finger that opposes all others has half
@@ -213,7 +212,7 @@ class Controller:
         self._reference = SmoothReference()
         self._rates = JointRates(self.hand.joints)
         self._regrasp = Regrasp(config.regrasp, self.hand)
-        self._hold = PostureHold(config.hold, self.hand, _FIRST_PERIOD)
+        self._hold = PostureHold(config.hold, self.hand)
         self._none = np.zeros(self.hand.joints)
         self.enabled = True
         self.joints_held = False
@@ -253,8 +252,7 @@ class Controller:
         self._last_torque: Array | None = None  # of the law, one tick ago
         self._last_stamp: int | None = None
         self._intervals = deque[float](maxlen=_INTERVALS)  # s between the last ticks
-        self._period = _FIRST_PERIOD  # of the ticks, s
-        self._hold.reset(self._period)
+        self._hold.reset()
         self._accept_inputs()
 
     def _hold_with(self, touching: NDArray[np.bool_]) -> None:
@@ -475,9 +473,9 @@ class Controller:
         seen = now.rates if passes else None, tips, now.contacts
         limits = self.config.touch_latency, self.config.hold.resolution
         felt = ~self._unfelt
-        since = self._late_touch.step(now.stamp, now.theta, *seen, felt, self._period, *limits)
+        since = self._late_touch.step(now.stamp, now.theta, *seen, felt, self._hold.period, *limits)
         ticks = (self._delay.ticks or 0) + (0.0 if self.config.midpoint_hold else 0.5)
-        ahead = ticks * self._period * now.rates if passes else self._none
+        ahead = ticks * self._hold.period * now.rates if passes else self._none
         if not (since + ahead).any():
             return now, tips
         then = tips._replace(positions=tips.positions - tips.linear @ since)
@@ -512,7 +510,7 @@ class Controller:
         c = self.config
         if c.law.name != "grip" or forces is None:
             return grasp_force
-        age = c.touch_latency + (0.5 + self._delay.allowed) * self._period
+        age = c.touch_latency + (0.5 + self._delay.allowed) * self._hold.period
         passed = 0.0 if self.joints_held or self._unfelt.any() else dt
         limit, shown = c.law.integral.force_limit, (optimal_forces[:, 1], forces[:, 1])
         crush = c.grasp_force_limit if c.grasp_force_limit > 0.0 else math.inf
@@ -664,16 +662,18 @@ class Controller:
                 self._free = kept_contacts(self._fingers, now.theta, contacts)
             return
         period, delay = self._fitted_to
-        known = abs(self._period - period) <= _NEW_PERIOD * period and delay == self._delay.allowed
+        known = (
+            abs(self._hold.period - period) <= _NEW_PERIOD * period and delay == self._delay.allowed
+        )
         if self._law.fits or (known and fingers <= self._fitted_fingers):
             return
-        self._fitted_to, self._fitted_fingers = (self._period, self._delay.allowed), fingers
+        self._fitted_to, self._fitted_fingers = (self._hold.period, self._delay.allowed), fingers
         self._required = None
         forces = contacts.centroid - contacts.positions  # of law (10), a guess for other laws
         if c.law.uses_optimal_forces:
             forces = in_palm(contacts.rotations, now.optimal_forces, 1.0)
         ages = c.touch_latency, c.law.observer.time
-        how = forces, self._period, *ages, c.hold.resolution, self._delay.allowed
+        how = forces, self._hold.period, *ages, c.hold.resolution, self._delay.allowed
         self._law.fit(fitted_gains(self._fingers, now.theta, contacts, *how))
         motions = motions_of_object(self._fingers, now.theta, contacts)
         self._keep_posture(motions < FEWEST_MOTIONS, now.theta)
@@ -696,7 +696,7 @@ class Controller:
             self._required = required_bandwidth(buckling, self._hold.delay), has
         required, has = now.grasp_force * self._required[0], self._required[1]
         if required > has:
-            rate = 1.0 / self._period
+            rate = 1.0 / self._hold.period
             self.warning = (
                 f"if inputs stop, this grasp would buckle: at {rate:.0f} Hz the hold has a "
                 f"bandwidth of {has:.0f} rad/s, but k_f = {now.grasp_force:.3g} N needs "
@@ -770,7 +770,7 @@ class Controller:
             return 0.0
         passed = 1e-9 * (stamp - before)
         self._intervals.append(passed)
-        self._period = self._hold.period = sorted(self._intervals)[len(self._intervals) // 4]
+        self._hold.period = sorted(self._intervals)[len(self._intervals) // 4]
         continues = self._mode is (Mode.OPEN if self._regrasp.active else Mode.DRIVE)
         return min(passed, _LONGEST_GAP) if continues else 0.0
 
@@ -800,7 +800,7 @@ class Controller:
         last, self._last_torque = self._last_torque, torque
         if not self.config.midpoint_hold or last is None or dt <= 0.0:
             return torque
-        return torque + 0.5 * self._period / dt * (torque - last)
+        return torque + 0.5 * self._hold.period / dt * (torque - last)
 
     def _weight(self, theta: Array) -> Array:
         """Return the torques that carry the links, shape (m,), N m; zero without compensation."""

@@ -38,6 +38,7 @@ from tactile_hand_ros.rotations import dot
 _PHASE = 0.5  # w d: leaves 17 degrees of phase at the longest delay, 47 at half of it
 _SHAKE = 0.03  # of a finger's weight, by angle errors; the grasp force has 0.6 in reserve
 _MAX_OFFSET, _MAX_RATE = np.pi, 1e3  # rad and rad/s; keep the torque finite
+_FIRST_PERIOD = 0.01  # s between ticks, assumed before the second tick
 _SHORTEST = 1e-9  # m, keeps the direction between two tips regular
 
 
@@ -183,14 +184,14 @@ class PostureHold:
         held: Torques to keep; None while unknown.
     """
 
-    def __init__(self, config: PostureHoldConfig, hand: Hand, period: float) -> None:
+    def __init__(self, config: PostureHoldConfig, hand: Hand) -> None:
         """Build the hold of a hand."""
         self.config, self._hand = config, hand
-        self.reset(period)
+        self.reset()
 
-    def reset(self, period: float) -> None:
-        """Forget what is held; the time between ticks, s, is unknown and assumed."""
-        self.period, self.posture = period, np.zeros(self._hand.joints)
+    def reset(self) -> None:
+        """Forget what is held, and the time between ticks."""
+        self.period, self.posture = _FIRST_PERIOD, np.zeros(self._hand.joints)
         self.held: Held | None = None
 
     @property
