@@ -70,17 +70,19 @@ class Hands(ExitStack):
     """The running hand of the last injection, kept for the next one in the same situation."""
 
     _hand: RunningHand
-    _started: tuple[str, str] | None = None  # way and situation
+    _started: tuple[str, str, bool] | None = None  # way, situation, and whether it is recorded
 
     def run_one(self, point: Point) -> dict[str, Any]:
         """Make a run on nodes; restart them for the next run if this one fails."""
         run = point.values["injection"]
-        wanted = run.way, run.situation
+        recorded = run.component == space.RECORDER  # it takes a fifth of a core
+        wanted = run.way, run.situation, recorded
         if self._started != wanted:
             self.close()
             folder = Path(self.enter_context(tempfile.TemporaryDirectory()))
             chosen = situations.scenario(run.situation, run.way)
-            hand = RunningHand(chosen, folder, composed=run.way == "composed")
+            how = {"composed": run.way == "composed", "recorded": recorded}
+            hand = RunningHand(chosen, folder, **how)
             self._hand = self.enter_context(hand)
         self._started = None
         result = _row(inject(self._hand, run))

@@ -61,10 +61,12 @@ class RunningHand:
         events: All messages received since the start of the run.
     """
 
-    def __init__(self, scenario: Scenario, folder: Path, *, composed: bool) -> None:
+    def __init__(
+        self, scenario: Scenario, folder: Path, *, composed: bool, recorded: bool = True
+    ) -> None:
         """Prepare the nodes, in one process if `composed`; entering the block starts them."""
         self.scenario, self._folder = scenario, folder
-        self.composed = composed
+        self.composed, self._recorded = composed, recorded
         self.fingers = load_hand_config(scenario.hand).finger_names
         self.processes: dict[str, CapturedProcess] = {}
         self.events: list[Received] = []
@@ -76,7 +78,8 @@ class RunningHand:
         """Start all processes and wait until the nodes are connected."""
         try:
             domain = self._stack.enter_context(isolated_domain())
-            self.start(names.RECORDER)
+            if self._recorded:
+                self.start(names.RECORDER)
             if self.composed:
                 self.start(names.COMPOSED, NODES)
             for name in () if self.composed else NODES:

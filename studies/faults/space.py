@@ -118,4 +118,4 @@ def sample(runs: int, seed: int, among: Sequence[Cell]) -> list[Injection]:
     while len(drawn) < runs and chosen:
         chance.shuffle(chosen)
         drawn += [Injection(*cell, chance.randrange(2**31)) for cell in chosen[: runs - len(drawn)]]
-    return sorted(drawn, key=lambda run: (run.way, run.situation))
+    return sorted(drawn, key=lambda run: (run.way, run.situation, run.component == RECORDER))
