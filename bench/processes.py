@@ -99,10 +99,7 @@ class CapturedProcess(ChildProcess):
         try:
             wait_until(lambda: self.returncode is not None, timeout)
         except TimeoutError:
-            self.send(signal.SIGABRT)
-            with suppress(TimeoutError):
-                wait_until(lambda: self.returncode is not None, _ABORT_SECONDS)
-            raise TimeoutError(f"still running after {timeout:g} s{self._report()}") from None
+            raise self._stuck(f"still running after {timeout:g} s") from None
         assert self.returncode is not None
         return self.returncode
 
@@ -110,15 +107,18 @@ class CapturedProcess(ChildProcess):
         """Wait until a text appears in the output or on stderr.
 
         Raises:
-            TimeoutError: With all output so far.
+            TimeoutError: With all output so far and the stacks of its threads.
         """
         try:
             wait_until(lambda: text in self.stdout + self.stderr, timeout, f"'{text}'")
         except TimeoutError as error:
-            raise TimeoutError(f"{error}{self._report()}") from None
+            raise self._stuck(str(error)) from None
 
-    def _report(self) -> str:
-        return f": {' '.join(self.command)}\n{self.stdout}\n{self.stderr}"
+    def _stuck(self, problem: str) -> TimeoutError:
+        self.send(signal.SIGABRT)
+        with suppress(TimeoutError):
+            wait_until(lambda: self.returncode is not None, _ABORT_SECONDS)
+        return TimeoutError(f"{problem}: {' '.join(self.command)}\n{self.stdout}\n{self.stderr}")
 
     def __enter__(self) -> CapturedProcess:
         """Return the process."""
