@@ -34,7 +34,7 @@ from tactile_hand_ros.simulation.plant import Plant
 COLUMNS = ("scenario", "changed", "alarms", "largest k_f", "last k_f", "slid", "outcome")
 SCENARIOS = ("hold", "pull", "human_hold", "human_pull")
 
-RATES = ((200, 200), (500, 100), (1000, 2000), (2000, 1000))
+RATES = ((100, 100), (200, 200), (500, 100), (1000, 2000), (2000, 1000))
 """Rates of ticks and skin [Hz]; at 125 Hz, fingers as light as the human hand's are unstable."""
 BITS = (12, 14, 20)
 LINKS, MASSES = (0.01, 0.05, 0.25), (0.005, 0.05, 0.3, 1.0)
