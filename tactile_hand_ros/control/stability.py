@@ -82,10 +82,11 @@ def fitted_gains(
     Angle errors bound w along each principal axis of M_h; light joints, which alone turn some
     objects, bear more than heavy ones. Torques that are held for T make fingers oscillate at
     w = 2 / T. An object adds inertia, so w is at most 1 / T. Torques that are n ticks late cost the
-    phase w (n + 1/2) T of the damping, at most 72 of its 90 degrees. Directions of forces f that
-    are d old cost the damping K_geo d, a fraction of it at w = b^2 d over that fraction, with the
-    rate b of `buckling_rate` at that k_f and the margin. This is w, unless angle errors allow more.
-    Rates that do not move the object are damped as much as angle errors allow.
+    phase w (n + 1/2) T of the damping, and rates from angles w T / 2 more, at most 72 of its 90
+    degrees. Directions of forces f that are d old cost the damping K_geo d, a fraction of it at
+    w = b^2 d over that fraction, with the rate b of `buckling_rate` at that k_f and the margin.
+    This is w, unless angle errors allow more. Rates that do not move the object are damped as much
+    as angle errors allow.
 
     The pose is t late, and the object, of inertia m, follows the damping after m / D. Both cost
     phase of the stiffness, so K_p = p D / (t + m / D), with the m of an object whose weight is the
@@ -103,7 +104,8 @@ def fitted_gains(
         delay: n, the largest delay of a torque, ticks.
     """
     inertia = hand.dynamics(theta, np.zeros(hand.joints)).inertia
-    largest = min(1.0, _DAMPING_PHASE / (delay + 0.5)) / tick
+    late = delay + (0.5 if error == 0.0 else 1.0)
+    largest = min(1.0, _DAMPING_PHASE / late) / tick
     inertias, axes = np.linalg.eigh(inertia)
     bounds = np.minimum(quiet_bandwidths(hand, inertias, error), largest)
     quiet = (axes * inertias * bounds) @ axes.T
