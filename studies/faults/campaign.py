@@ -81,8 +81,7 @@ class Hands(ExitStack):
             self.close()
             folder = Path(self.enter_context(tempfile.TemporaryDirectory()))
             chosen = situations.scenario(run.situation, run.way)
-            how = {"composed": run.way == "composed", "recorded": recorded}
-            hand = RunningHand(chosen, folder, **how)
+            hand = RunningHand(chosen, folder, composed=run.way == "composed", recorded=recorded)
             self._hand = self.enter_context(hand)
         self._started = None
         result = _row(inject(self._hand, run))

@@ -200,8 +200,8 @@ class SlipRegulatorNode(TactileNode[SlipRegulatorConfig]):
             latched = qos.latched_qos(qos.USER_DEPTH)
             self.subscribe(String, names.TOUCH_REJECTED, self._on_touch_rejected, profile=latched)
             self.subscribe(Bool, names.JOINT_HOLD, self._on_joint_hold, profile=latched)
-            joints = streams.joints(hand.joint_names)
-            declared = joints, streams.contacts(hand.fingers), streams.forces(fingers)
+            touch = streams.contacts(hand.fingers), streams.forces(fingers)
+            declared = (*touch, streams.joints(hand.joint_names))
             self._inputs = TickInputs(self, declared, self, observe=self.observe)
 
     @property
@@ -210,11 +210,8 @@ class SlipRegulatorNode(TactileNode[SlipRegulatorConfig]):
         return self._regulator.carried
 
     def _rehearse(self, hand: Hand) -> None:
-        touch, regulator, still = (
-            example_touch(hand.fingers),
-            self._regulator,
-            np.zeros(hand.joints),
-        )
+        touch, regulator = example_touch(hand.fingers), self._regulator
+        still = np.zeros(hand.joints)
         for stamp in (0, 1):  # the second knows the load
             regulator.step(stamp, Joints(still, still, still), *touch)
         self._report.note(regulator, 0, *touch, GripState.of(regulator))
@@ -272,7 +269,7 @@ class SlipRegulatorNode(TactileNode[SlipRegulatorConfig]):
         response.success, response.message = True, f"k_f = {self._regulator.grasp_force:g} N"
         return response
 
-    def on_tick(self, stamp: int, joints: Joints, contacts: Contacts, forces: Array) -> None:
+    def on_tick(self, stamp: int, contacts: Contacts, forces: Array, joints: Joints) -> None:
         """Answer a complete tick."""
         self.step(stamp, joints, contacts, forces)
 
@@ -297,7 +294,7 @@ class SlipRegulatorNode(TactileNode[SlipRegulatorConfig]):
             self._publish_haptics(stamp, grasp_force / maximum, float(state.evidence.max()))
         return grasp_force
 
-    def observe(self, stamp: int, joints: Joints, contacts: Contacts, forces: Array) -> None:
+    def observe(self, stamp: int, contacts: Contacts, forces: Array, joints: Joints) -> None:
         """Process a skipped tick, because slip detection needs every sample."""
         self._regulator.step(stamp, joints, contacts, forces)
         self._changes.take_effect(stamp)

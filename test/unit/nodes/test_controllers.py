@@ -201,7 +201,7 @@ def test_a_late_regulator_uses_the_ticks_that_it_does_not_answer(here):
         if row % 3 == 2:
             assert tick(late, row * TICK, force) == expected
         else:
-            late.observe(row * TICK, JOINTS, STATE.contacts, force)
+            late.observe(row * TICK, STATE.contacts, force, JOINTS)
     assert len(sent["grasp_force"]) == 10
 
 
