@@ -18,7 +18,7 @@ from tactile_hand_ros.hand.joints import Joints
 from tactile_hand_ros.hand.tip_fit import fitted_tips
 from tactile_hand_ros.hand.urdf import describe
 
-_RCOND = 1e-6  # of the largest singular value; smaller ones belong to straight fingers
+_RCOND = 0.1  # of the largest singular value; levers below amplify errors of torques too much
 
 
 class Fingertips(NamedTuple):

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
 from numpy.testing import assert_allclose
 
 from studies.faults.situations import SITUATIONS, scenario
@@ -168,11 +169,14 @@ def test_a_hundredth_of_a_fingers_weight_is_the_minimum_internal_force(fraction,
     assert_allclose(found, at_other, atol=1e-9)
 
 
-def test_a_finger_that_is_nearly_straight_is_not_asked_for_forces_that_no_joint_makes():
-    """Along a straight finger, rounding errors of the torque would appear as meganewtons."""
-    straight = THETA.copy()
-    straight[2] = 1e-8
-    assert np.abs(tip_forces(HAND.fingertips(straight), PRESSED)).max() < 50.0
+@given(st.floats(-0.3, 0.3), arrays(float, 9, elements=st.floats(-0.1, 0.1)))
+@example(1e-8, np.full(9, 1e-9))
+def test_errors_of_torques_become_forces_as_at_a_tenth_of_the_longest_lever(bend, errors):
+    """Along a finger that is almost straight, they would appear as large forces of the grasp."""
+    tips = HAND.fingertips(np.where(np.arange(9) == 2, bend, THETA))
+    longest = np.linalg.norm(tips.linear.reshape(9, 9), 2)
+    wrong = tip_forces(tips, PRESSED + errors) - tip_forces(tips, PRESSED)
+    assert np.linalg.norm(wrong) <= (1.0 + 1e-6) * np.linalg.norm(errors) / (0.1 * longest) + 1e-9
 
 
 @given(st.floats(-1e308, 1e308), st.floats(-1e308, 1e308))
