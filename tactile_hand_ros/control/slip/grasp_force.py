@@ -227,7 +227,7 @@ class SlipResponse:
             limit: Largest grasp force, N.
             dt: Time since the last tick, s.
         """
-        c = self.config
+        c, dt = self.config, min(dt, LONGEST)  # of a longer pause, nothing is known
         touches = touching.tolist()
         whole, some = all(touches), any(touches)
         goal = needed if math.isfinite(needed) else self.grasp_force
@@ -257,6 +257,6 @@ class SlipResponse:
         self._calm_for = 0.0
         self._grown = max(self._grown, c.first_rise * self._settled)
         if slides:
-            growth = math.exp(min(dt, LONGEST) / _DOUBLING * math.log(2.0))
+            growth = math.exp(dt / _DOUBLING * math.log(2.0))
             self._grown = min(growth * max(self._grown, self.grasp_force), limit)
         return self._grown

@@ -51,6 +51,11 @@ def test_only_a_grasp_that_is_whole_settles():
     assert step(reflex, slips=True, touching=TWO) == 3.0 * START
 
 
+def test_over_a_pause_without_samples_it_hardly_falls():
+    """When a stopped computer continues, the grasp force steps down by a tick's worth only."""
+    assert step(fresh(), 1.0, dt=1.0) == step(fresh(), 1.0, dt=0.02) == pytest.approx(START - 0.2)
+
+
 @pytest.mark.parametrize(("dt", "growth"), [(0.0125, 2.0**1.25), (0.02, 4.0), (0.5, 4.0)])
 def test_over_a_pause_it_doubles_twice_at_most(dt, growth):
     reflex = fresh(first_rise=1.5)
