@@ -214,6 +214,7 @@ class SlipResponse:
         slips: bool,
         slides: bool,
         touching: NDArray[np.bool_],
+        rejected: NDArray[np.bool_],
         limit: float,
         dt: float,
     ) -> float:
@@ -224,16 +225,18 @@ class SlipResponse:
             slips: Whether a contact slips.
             slides: Whether its newest samples are evidence for slip, too.
             touching: Which contacts touch or are not part of the grasp, shape (k,).
+            rejected: Which contacts may be lost or not, as their touch is rejected, shape (k,).
             limit: Largest grasp force, N.
             dt: Time since the last tick, s.
         """
         c, dt = self.config, min(dt, LONGEST)  # of a longer pause, nothing is known
-        touches = touching.tolist()
-        whole, some = all(touches), any(touches)
+        whole, some = bool(touching.all()), bool(touching.any())
+        lost = self._whole and not (touching | rejected).all()
+        self._whole = whole or (self._whole and some)
         goal = needed if math.isfinite(needed) else self.grasp_force
         if not whole:
             goal = max(goal, self.grasp_force)  # the rest shows only a part of the need
-        goal = max(goal, self._reflex(slips, slides, whole, some, limit, dt))
+        goal = max(goal, self._reflex(slips, slides, whole, lost, limit, dt))
         if not some:  # the object is gone
             goal = self._settled
         falls = max(c.release_rate, (self.grasp_force - goal) / c.release_time)
@@ -242,11 +245,9 @@ class SlipResponse:
         return self.grasp_force
 
     def _reflex(
-        self, slips: bool, slides: bool, whole: bool, some: bool, limit: float, dt: float
+        self, slips: bool, slides: bool, whole: bool, lost: bool, limit: float, dt: float
     ) -> float:
         """Return the grasp force after a slip or a lost contact, N; 0 without either."""
-        lost = self._whole and not whole
-        self._whole = whole or (lost and some)
         if not slips and not lost:
             self._calm_for += dt
             if self._calm_for > _CALM and whole:

@@ -156,7 +156,6 @@ class SlipRegulator:
     def _forget_slips(self) -> None:
         if self._kept:
             self._estimator.restore(self._kept[0][1])
-        self._response.start(self._response.grasp_force)
 
     @property
     def state(self) -> NDArray[np.int64]:
@@ -256,7 +255,7 @@ class SlipRegulator:
         limit = self.config.maximum
         goal = max(self.needed, min(self.ready, _RESERVED * limit))
         known = touching | (grasped and parts is not None)  # the others hold without it
-        self._response.step(goal, slips, slides, known, limit, dt)
+        self._response.step(goal, slips, slides, known, self._rejected, limit, dt)
 
     def _follow_normals(self, contacts: Contacts, measured: Array, dt: float) -> None:
         """Update slip and the reflex from normal forces; measured are (k, 3), N, in part NaN.
@@ -279,7 +278,7 @@ class SlipRegulator:
         goal = max(self._raised, self._asked)
         if not np.isnan(measured[:, ::2]).all():
             goal = max(goal, self._response.grasp_force)
-        self._response.step(goal, False, False, touching, c.maximum, dt)
+        self._response.step(goal, False, False, touching, self._rejected, c.maximum, dt)
 
     def _update_need(
         self, contacts: Contacts, parts: Split | None, at: Array, dt: float, grasped: bool = False

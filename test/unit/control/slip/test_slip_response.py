@@ -12,8 +12,8 @@ LIMIT, START = 60.0, 6.0
 ALL, TWO, NONE = (np.array(t) for t in ([True] * 3, [True, True, False], [False] * 3))
 
 
-def step(reflex, needed=math.nan, slips=False, slides=False, touching=ALL, dt=0.0125):
-    return reflex.step(needed, slips, slides, touching, LIMIT, dt)
+def step(reflex, needed=math.nan, slips=False, slides=False, touching=ALL, rejected=NONE, dt=0.0125):
+    return reflex.step(needed, slips, slides, touching, rejected, LIMIT, dt)
 
 
 def fresh(**values):
@@ -82,6 +82,14 @@ def test_a_contact_is_lost_until_all_are_back_or_none_is_left():
     none = step(reflex, 20.0, touching=NONE)  # the last force counts, not the needed one
     assert none == pytest.approx(9.0 - 0.0125 * 3.0 / 0.5)
     assert step(reflex, none, touching=TWO) == none
+
+
+def test_a_contact_whose_touch_is_rejected_is_lost_if_it_is_missing_afterwards():
+    reflex = fresh(first_rise=1.5)
+    step(reflex, START)
+    for _ in range(2):  # until then, the grasp force neither rises nor falls
+        assert step(reflex, 0.0, touching=TWO, rejected=~TWO) == START
+    assert step(reflex, 0.0, touching=TWO) == 1.5 * START
 
 
 def test_it_starts_over_from_another_grasp_force():
