@@ -18,7 +18,7 @@ from tactile_hand_ros.hand.joints import Joints
 from tactile_hand_ros.hand.tip_fit import fitted_tips
 from tactile_hand_ros.hand.urdf import describe
 
-_RCOND = 0.1  # of the largest singular value; levers below amplify errors of torques too much
+SHORTEST_LEVER = 0.1  # of the longest; shorter ones amplify errors of torques tenfold
 
 
 class Fingertips(NamedTuple):
@@ -81,7 +81,7 @@ def least_squares(a: Array, b: Array) -> Array:
     """Return the smallest x of the smallest |a x - b|; NaN unless b is finite."""
     if not np.isfinite(b).all():
         return np.full(a.shape[1], np.nan)
-    return np.asarray(np.linalg.lstsq(a, b, _RCOND)[0], np.float64)
+    return np.asarray(np.linalg.lstsq(a, b, SHORTEST_LEVER)[0], np.float64)
 
 
 @compiled

@@ -27,14 +27,14 @@ from tactile_hand_ros.control.contact import (
     joint_torques,
 )
 from tactile_hand_ros.control.controller import FEWEST_MOTIONS, LEAST_ROOM
-from tactile_hand_ros.control.grasp import check_joints, check_spread, wrench_forces
+from tactile_hand_ros.control.grasp import check_joints, check_spread, joint_margin, wrench_forces
 from tactile_hand_ros.control.optimizer.force_optimizer import ForceOptimizer, ForceOptimizerConfig
 from tactile_hand_ros.control.reach import end_of, room
 from tactile_hand_ros.control.slip.regulator import SlipRegulatorConfig
 from tactile_hand_ros.control.stability import motions_of_object
 from tactile_hand_ros.errors import GraspError
 from tactile_hand_ros.extras import optional
-from tactile_hand_ros.hand.hand import Hand
+from tactile_hand_ros.hand.hand import SHORTEST_LEVER, Hand
 from tactile_hand_ros.rotations import rodrigues, vector_from_rotation
 from tactile_hand_ros.scenario.link_collisions import LinkCollisions
 from tactile_hand_ros.simulation.plant_config import ObjectConfig
@@ -49,7 +49,6 @@ _GAP = 0.002  # m between two fingertips
 _MIDDLE = 0.03  # weight of joint angles in the middle of their range
 _OUTSIDE = 0.9  # of the range of a joint, from which more is avoided
 _NO_SPAN = 1e-9  # rad or m, range of a joint that cannot move
-_NO_SPEED = 1e-3  # m/rad, singular value of a direction in which a tip does not move (A5)
 _PRESS = 0.25  # of a normal; below, a tip moves sideways four times as far as it presses
 _ROOM = 0.25  # of the ways to joint limits and rims, that a grasp needs to be moved
 _TOUCH = 1e-4  # m; further away, a tip does not touch
@@ -79,6 +78,7 @@ class FoundGrasp:
         motions: Directions of 6 in which the joints move the object.
         press: Smallest part of a contact normal in the directions in which its finger moves, 0 to
             1. What a finger cannot press itself, its tip slips along before it is stopped.
+        lever: Smallest singular value of J_h (A5), as a fraction of the largest.
     """
 
     theta: Array
@@ -91,6 +91,13 @@ class FoundGrasp:
     load: float
     motions: int
     press: float
+    lever: float
+
+    @property
+    def worth(self) -> float:
+        """The load, less without room to move, or where torques hardly show or make forces, N."""
+        enough = min(1.0, self.room / _ROOM) * min(1.0, self.lever / SHORTEST_LEVER)
+        return self.load * self.press * enough
 
 
 def expected_friction(friction: float) -> float:
@@ -104,8 +111,9 @@ def search(
 ) -> list[FoundGrasp]:
     """Return the grasps that were found, the one that carries most first.
 
-    Those without room to move count less, and those whose fingers press beside the normals.
-    `advance` is called after each start with what is tried; there are `number_of_starts`.
+    Those without room to move count less, those whose fingers press beside the normals, and those
+    whose joints hardly move a contact in some direction. `advance` is called after each start with
+    what is tried; there are `number_of_starts`.
 
     Raises:
         GraspError: If there is none, with the reasons that came up most.
@@ -131,7 +139,7 @@ def search(
             f"mm was found from {len(reasons)} postures; most often {most}. Try another size, or "
             "check limits, axis and center of the tips with `tactile-hand hand`"
         )
-    return sorted(found, key=lambda grasp: -grasp.load * grasp.press * min(1.0, grasp.room / _ROOM))
+    return sorted(found, key=lambda grasp: -grasp.worth)
 
 
 def scenario_values(hand: str, body: ObjectConfig, found: FoundGrasp) -> dict[str, Any]:
@@ -173,7 +181,7 @@ def scenario_values(hand: str, body: ObjectConfig, found: FoundGrasp) -> dict[st
 def _pressing(jacobian: Array, normal: Array) -> float:
     """Return the part of a normal, shape (3,), in the velocities of a tip, J of shape (3, m)."""
     directions, speeds, _ = np.linalg.svd(jacobian, full_matrices=False)
-    return float(np.linalg.norm(normal @ directions[:, speeds > _NO_SPEED]))
+    return float(np.linalg.norm(normal @ directions[:, speeds > SHORTEST_LEVER * speeds[0]]))
 
 
 def _rounded(values: Array) -> list[float]:
@@ -298,7 +306,8 @@ class _Problem:
             raise GraspError(f"no room is left of the way of {end_of(hand, int(ways.argmin()))}")
         try:
             check_spread(points)
-            check_joints(hand_jacobian(fingertips, points, contacts.rotations))
+            jacobian = hand_jacobian(fingertips, points, contacts.rotations)
+            check_joints(jacobian)
         except GraspError as error:
             reason = "contacts are on one line, or the hand is singular (A5, A7)"
             raise GraspError(reason) from error
@@ -335,6 +344,7 @@ class _Problem:
             load=load,
             motions=motions_of_object(hand, theta, contacts),
             press=press,
+            lever=joint_margin(jacobian) / np.linalg.norm(jacobian.reshape(-1, hand.joints), 2),
         )
 
 

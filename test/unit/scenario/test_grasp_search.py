@@ -10,8 +10,8 @@ from support.hands import write_hand
 
 from tactile_hand_ros.cli import main
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
-from tactile_hand_ros.control.contact import in_palm, joint_torques
-from tactile_hand_ros.control.grasp import check_joints, wrench_forces
+from tactile_hand_ros.control.contact import hand_jacobian, in_palm, joint_torques
+from tactile_hand_ros.control.grasp import check_joints, joint_margin, wrench_forces
 from tactile_hand_ros.control.optimizer.force_optimizer import ForceOptimizer, ForceOptimizerConfig
 from tactile_hand_ros.errors import GraspError
 from tactile_hand_ros.hand.hand import Hand
@@ -22,6 +22,10 @@ from tactile_hand_ros.simulation.plant import Plant
 from tactile_hand_ros.simulation.plant_config import ObjectConfig
 
 DOWN = np.array([0.0, 0.0, -9.81])
+
+
+def worth_of(grasp):
+    return grasp.load * grasp.press * min(1.0, 4.0 * grasp.room) * min(1.0, 10.0 * grasp.lever)
 
 
 @pytest.fixture(autouse=True)
@@ -56,7 +60,7 @@ def test_what_is_found_touches_one_face_and_the_opposite_and_can_bear_its_load(
     name = str(write_hand(tmp_path, joints, **more)) if joints else "human"
     hand = Hand.load(name, gravity=DOWN)
     best, *others = search(hand, body_of(size))
-    worth = [g.load * g.press * min(1.0, 4.0 * g.room) for g in (best, *others)]
+    worth = [worth_of(grasp) for grasp in (best, *others)]
     assert worth == sorted(worth, reverse=True)
     plant = Plant(scenario(tmp_path, scenario_values(name, body_of(size), best)).plant)
     assert np.abs(plant.state.gaps).max() < 2e-4 and plant.state.contacts.all_touching
@@ -66,6 +70,9 @@ def test_what_is_found_touches_one_face_and_the_opposite_and_can_bear_its_load(
     assert best.load == pytest.approx(best.grasp_force * (expected_friction(0.5) - best.friction))
     # Pulled from many sides at that load and grasp force, the weakest joint is at its limit.
     tips, points = hand.fingertips(best.theta), best.contacts.positions
+    jacobian = hand_jacobian(tips, points, best.contacts.rotations)
+    longest = np.linalg.norm(jacobian.reshape(-1, hand.joints), 2)
+    assert joint_margin(jacobian) == pytest.approx(best.lever * longest) and best.lever > 0.02
     optimal = ForceOptimizer(ForceOptimizerConfig(weights=[10.0, 1.0, 10.0]), hand.fingers)
     pressing = in_palm(best.contacts.rotations, optimal.solve(best.contacts).forces, 1.0)
     ways = np.random.default_rng(0).standard_normal((2000, 3))
@@ -120,7 +127,7 @@ def test_a_grasp_whose_fingers_can_press_along_the_normals_comes_first(tmp_path,
     monkeypatch.setattr(grasp_search, "STARTS", 40)
     hand = Hand.load(str(write_hand(tmp_path, [3, 2, 2])), gravity=DOWN)
     found = search(hand, body_of((0.2, 0.2, 0.2), "sphere"))
-    worth = [grasp.load * grasp.press * min(1.0, 4.0 * grasp.room) for grasp in found]
+    worth = [worth_of(grasp) for grasp in found]
     assert worth == sorted(worth, reverse=True) and min(grasp.press for grasp in found) < 0.9
     best = found[0]
     tips = hand.fingertips(best.theta).linear
