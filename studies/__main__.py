@@ -189,6 +189,18 @@ def hands(
     _finish(out, ("hands", h.COLUMNS, _computed(h.tried, h.PAIRS, out, jobs)))
 
 
+def random_hands(
+    out: OutOption = Path("random-hands"),
+    runs: Annotated[int, typer.Option(help="Number of random hands.", min=1)] = 60,
+    jobs: JobsOption = -1,
+    seed: SeedOption = 0,
+) -> None:
+    """Grasp with random hands, stop the commands for a second, and pull the object."""
+    from studies import random_hands as r
+
+    _finish(out, ("hands", r.COLUMNS, _computed(r.tried, range(seed, seed + runs), out, jobs)))
+
+
 def engines(
     out: OutOption = Path("engines"),
     jobs: JobsOption = -1,
@@ -211,7 +223,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
-for _command in (slip, invariance, loads, faults, fuzz, stalls, hands, engines):
+for _command in (slip, invariance, loads, faults, fuzz, stalls, hands, random_hands, engines):
     app.command()(_command)
 
 

@@ -311,6 +311,7 @@ class _Problem:
         except GraspError as error:
             reason = "contacts are on one line, or the hand is singular (A5, A7)"
             raise GraspError(reason) from error
+        longest = float(np.linalg.norm(jacobian.reshape(-1, hand.joints), 2))
         presses = list(map(_pressing, fingertips.linear, normals))
         if (press := min(presses)) < _PRESS:
             weakest = hand.finger_names[presses.index(press)]
@@ -344,7 +345,7 @@ class _Problem:
             load=load,
             motions=motions_of_object(hand, theta, contacts),
             press=press,
-            lever=joint_margin(jacobian) / np.linalg.norm(jacobian.reshape(-1, hand.joints), 2),
+            lever=joint_margin(jacobian) / longest,
         )
 
 
