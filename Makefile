@@ -48,7 +48,7 @@ help:
 	@echo 'make live SCENARIO=name   a hand with a page to watch it, steer it, pull at the object and break things'
 	@echo 'make test                 ruff, mypy and all tests'
 	@echo 'make bench                measure'
-	@echo 'make study NAME=slip      a study: slip, loads, faults, invariance, engines, hands, stalls or fuzz; ARGS="--help" for its options'
+	@echo 'make study NAME=slip      a study: slip, loads, faults, invariance, engines, hands, random-hands, stalls or fuzz; ARGS="--help" for its options'
 	@echo 'make docs                 build the documentation as a site, site/index.html'
 	@echo 'make docs-figures         run the examples of the documentation, write their numbers and pictures into it'
 	@echo 'make lint                 ruff and mypy'
