@@ -111,7 +111,7 @@ def fitted_gains(
     quiet = (axes * inertias * bounds) @ axes.T
     motions = _motions(hand, hand.fingertips(theta), contacts)
     joints, twists = np.split(motions, [hand.joints])
-    redundant = joints @ _kernel(twists)
+    redundant = joints @ _kernel(twists, 1.0)
     motions = motions @ _kernel(redundant.T @ inertia @ joints)
     joints = motions[: hand.joints]
     quietest, parts = _ratios(joints.T @ quiet @ joints, joints.T @ inertia @ joints)
@@ -184,14 +184,17 @@ def _motions(hand: Hand, tips: Fingertips, contacts: Contacts) -> Array:
     k, axes = hand.fingers, np.tile(np.eye(3), (hand.fingers, 1, 1))
     jacobian = hand_jacobian(tips, contacts.positions, axes).reshape(3 * k, hand.joints)
     motions = _kernel(np.hstack([jacobian, -grasp_map(centered(contacts.positions), axes).T]))
-    idle = _kernel(motions[: hand.joints])
+    idle = _kernel(motions[: hand.joints], 1.0)
     return motions @ _kernel(idle.T) if idle.size else motions
 
 
-def _kernel(matrix: Array) -> Array:
-    """Return an orthonormal basis of the kernel of a matrix, one vector per column."""
+def _kernel(matrix: Array, size: float = 0.0) -> Array:
+    """Return an orthonormal basis of the kernel of a matrix, one vector per column.
+
+    Parts of unit vectors have the `size` 1, so that one of rounding errors alone counts as zero.
+    """
     _, sizes, basis = np.linalg.svd(matrix)
-    rank = int((sizes > _INDEPENDENT * sizes.max(initial=0.0)).sum())
+    rank = int((sizes > _INDEPENDENT * sizes.max(initial=size)).sum())
     return np.asarray(basis[rank:].T)
 
 

@@ -11,6 +11,7 @@ from studies.invariance import resized
 from studies.stalls import GuardedLoop, Watch
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
 from tactile_hand_ros.control.command_guard import LATE, TOO_FAST
+from tactile_hand_ros.control.contact import Contacts
 from tactile_hand_ros.control.stability import buckling_rate, fitted_gains
 from tactile_hand_ros.scenario.scenario import load_scenario
 from tactile_hand_ros.simulation.plant import Plant
@@ -31,6 +32,15 @@ def test_how_fast_a_grasp_buckles_follows_from_force_lever_and_inertia(tmp_path)
         found = buckling(tmp_path, scale, mass, force)
         expected = full * np.sqrt(0.25 / mass * force / 18.0 / scale)
         assert found == pytest.approx(expected, rel=1e-6)
+
+
+def test_a_gripper_of_one_joint_does_not_buckle_wherever_its_contacts_are_felt():
+    """The object alone turns about their line, with joint rates that are nothing but rounding."""
+    plant = Plant(load_scenario("panda").plant)
+    contacts, forces = plant.state.contacts, np.outer([1.0, -1.0], [0.01, -5.0, 0.02])
+    for noise in 1e-4 * np.random.default_rng(1).standard_normal((20, 2, 3)):
+        felt = Contacts(contacts.positions + noise, contacts.rotations)
+        assert buckling_rate(plant.hand, plant.state.theta, felt, forces) == 0.0
 
 
 @pytest.mark.parametrize("tick", [0.0005, 0.002, 0.01])
