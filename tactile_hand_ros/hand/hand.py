@@ -69,7 +69,7 @@ def tip_jacobians(
 def tip_forces(tips: Fingertips, torque: Array) -> Array:
     """Return tip forces, shape (k, 3), N, that balance a joint torque tau, shape (m,), N m.
 
-    The least-squares solution of J_i^T f_i = tau, exact for fingers with three joints.
+    The least-squares solution of J_i^T f_i = tau, without forces at levers below `SHORTEST_LEVER`.
     """
     k, axes, m = tips.linear.shape
     rows = tips.linear.reshape(k * axes, m)

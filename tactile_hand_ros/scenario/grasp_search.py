@@ -95,7 +95,7 @@ class FoundGrasp:
 
     @property
     def worth(self) -> float:
-        """The load, less without room to move, or where torques hardly show or make forces, N."""
+        """The load, N, times a factor of 0 to 1 for each of room, press and lever."""
         enough = min(1.0, self.room / _ROOM) * min(1.0, self.lever / SHORTEST_LEVER)
         return self.load * self.press * enough
 
@@ -111,8 +111,8 @@ def search(
 ) -> list[FoundGrasp]:
     """Return the grasps that were found, the one that carries most first.
 
-    Those without room to move count less, those whose fingers press beside the normals, and those
-    whose joints hardly move a contact in some direction. `advance` is called after each start with
+    A grasp counts less if there is no room to move, if fingers do not press along their normals, or
+    if the joints hardly move a contact in some direction. `advance` is called after each start with
     what is tried; there are `number_of_starts`.
 
     Raises:

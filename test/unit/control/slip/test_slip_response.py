@@ -12,8 +12,9 @@ LIMIT, START = 60.0, 6.0
 ALL, TWO, NONE = (np.array(t) for t in ([True] * 3, [True, True, False], [False] * 3))
 
 
-def step(reflex, needed=math.nan, slips=False, slides=False, touching=ALL, dt=0.0125, **more):
-    rejected = more.get("rejected", NONE)
+def step(
+    reflex, needed=math.nan, slips=False, slides=False, touching=ALL, rejected=NONE, dt=0.0125
+):
     return reflex.step(needed, slips, slides, touching, rejected, LIMIT, dt)
 
 
