@@ -217,10 +217,9 @@ class CockpitNode(TactileNode[CockpitConfig]):
                 self.event("refusal", f"{pair.key} is rejected: {pair.value}")
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
-        prefix = self.get_namespace().rstrip("/") + "/"
         for status in message.status:
-            name = status.name.removeprefix(prefix)
-            if not status.name.startswith(prefix) or name == self.get_name():
+            prefix, _, name = status.name.rpartition("/")
+            if prefix != self.get_namespace().rstrip("/") or name == self.get_name():
                 continue
             values = {pair.key: pair.value for pair in status.values}
             self._health[name] = {

@@ -23,8 +23,6 @@ from typing import Any
 from tactile_hand_ros.errors import ConfigurationError
 from tactile_hand_ros.extras import optional
 
-web = optional("aiohttp.web", "the cockpit")
-
 Reply = Callable[[bool, str], None]
 
 _HEAD = struct.Struct("<IIII")  # epoch, rows, width, nothing
@@ -75,7 +73,9 @@ class Server:
 
         Raises:
             ConfigurationError: If the port cannot be used.
+            MissingLibraryError: If aiohttp is not installed.
         """
+        self._web = web = optional("aiohttp.web", "The cockpit")
         try:
             listener = socket.create_server((_ADDRESS, port))
         except OSError as error:
@@ -104,30 +104,32 @@ class Server:
         """Refuse a request with a wrong host, origin or token."""
         origin = request.headers.get("Origin", f"http://{request.host}")
         if request.host not in self._hosts or origin != f"http://{request.host}":
-            raise web.HTTPForbidden(
+            raise self._web.HTTPForbidden(
                 text=f"The request comes from '{origin}', but the cockpit only serves its own "
                 f"page, http://{self._hosts[0]}."
             )
         given = request.query.get("token", "")
         if not secrets.compare_digest(given.encode(), self._token.encode()):
-            raise web.HTTPForbidden(
+            raise self._web.HTTPForbidden(
                 text="This link has no valid token, or an old one; open the link that the cockpit "
                 "has printed."
             )
 
     async def _on_page(self, request: Any) -> Any:
         self._check(request)
-        return _html(self._page)
+        return self._html(self._page)
 
     async def _on_report(self, request: Any) -> Any:
         self._check(request)
         if self._node.report is None:
-            raise web.HTTPNotFound(text="There is no report yet; press Save first.")
-        return _html(self._node.report.read_text("utf-8"))
+            raise self._web.HTTPNotFound(text="There is no report yet; press Save first.")
+        return self._html(self._node.report.read_text("utf-8"))
 
     async def _on_socket(self, request: Any) -> Any:
         self._check(request)
-        connection = web.WebSocketResponse(max_msg_size=_LARGEST, heartbeat=20.0, compress=False)
+        connection = self._web.WebSocketResponse(
+            max_msg_size=_LARGEST, heartbeat=20.0, compress=False
+        )
         await connection.prepare(request)
         tab = Tab(connection)
         self._driver = self._driver or tab
@@ -164,7 +166,6 @@ class Server:
         else:
             self._node.submit(command, reply)
 
-
-def _html(text: str) -> Any:
-    headers = {"Cache-Control": "no-store", "Referrer-Policy": "no-referrer"}
-    return web.Response(text=text, content_type="text/html", headers=headers)
+    def _html(self, text: str) -> Any:
+        headers = {"Cache-Control": "no-store", "Referrer-Policy": "no-referrer"}
+        return self._web.Response(text=text, content_type="text/html", headers=headers)

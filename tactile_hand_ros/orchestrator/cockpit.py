@@ -29,7 +29,7 @@ def cockpit(
     Raises:
         MissingLibraryError: If aiohttp is not installed.
     """
-    optional("aiohttp", "the cockpit")
+    optional("aiohttp", "The cockpit")
     config = CockpitConfig(
         name=plan.scenario.name,
         hand=plan.scenario.hand,

@@ -27,7 +27,7 @@ _LINE_PERIOD = 2.0  # s between two lines
 
 
 class Monitor:
-    """The newest diagnostics of the nodes, decoded only on demand.
+    """The newest diagnostics of the nodes of this hand, decoded only on demand.
 
     A subscription to a topic of the tick costs its publisher one packet per tick: a tenth of the
     time of an in-process tick. A run is therefore followed by its diagnostics. They arrive once per
@@ -36,7 +36,7 @@ class Monitor:
 
     def __init__(self, node: Node, *, closely: bool) -> None:
         """Subscribe outside the node's executor; `closely` follows every tick, to send commands."""
-        self._node = node
+        self._prefix = node.get_namespace().rstrip("/")
         self._diagnostics = subscribe_directly(
             node, DiagnosticArray, names.DIAGNOSTICS, QoSProfile(depth=100)
         )
@@ -66,13 +66,14 @@ class Monitor:
         """Return the values of the newest diagnostics, by full name of the node."""
         for data, _ in taken(self._diagnostics):
             for status in deserialize_message(data, DiagnosticArray).status:
-                self._status[status.name] = (status.level, status.message)
-                self._facts[status.name] = {pair.key: pair.value for pair in status.values}
+                if status.name.rpartition("/")[0] == self._prefix:  # other hands share the topic
+                    self._status[status.name] = (status.level, status.message)
+                    self._facts[status.name] = {pair.key: pair.value for pair in status.values}
         return self._facts
 
     def of(self, node: str) -> dict[str, str]:
         """Return the values of the newest diagnostics of a node of this hand."""
-        return self.facts().get(f"{self._node.get_namespace().rstrip('/')}/{node}", {})
+        return self.facts().get(f"{self._prefix}/{node}", {})
 
     @property
     def is_at_rest(self) -> bool:

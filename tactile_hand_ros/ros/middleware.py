@@ -35,25 +35,25 @@ def socket_settings(environment: Mapping[str, str]) -> dict[str, str]:
     """Return the variables that make Fast DDS use sockets only, within the discovery range.
 
     The result is empty if the user has chosen a profile or another middleware or disabled
-    discovery, or if the configuration is missing. The range ``LOCALHOST`` becomes an equivalent
-    profile, because with that variable ROS adds shared memory to every profile.
+    discovery, or if the configuration is missing. The range ``LOCALHOST``, as which ROS takes
+    unknown ones too, becomes an equivalent profile: with that variable ROS adds shared memory to
+    every profile.
     """
     if not environment.get(_MIDDLEWARE, _FAST_DDS).startswith(_FAST_DDS):
         return {}
     # The older variable overrides the range, so it must be reset too.
     alone = environment.get(_ALONE) == "1"
-    reach = "LOCALHOST" if alone else environment.get(_RANGE, "SUBNET")
+    reach = "LOCALHOST" if alone else environment.get(_RANGE) or "SUBNET"
+    leaves_machine = reach in ("SUBNET", "SYSTEM_DEFAULT")
     try:
         folder = config_directory() / "middleware"
     except ConfigurationError:  # reported where the configuration is needed
         return {}
     chosen = [environment[name] for name in _PROFILES if name in environment]
     # A profile of ours stays in force unless the user has narrowed the range since.
-    if chosen and (Path(chosen[0]).parent != folder or reach != "LOCALHOST"):
+    if reach == "OFF" or (chosen and (Path(chosen[0]).parent != folder or leaves_machine)):
         return {}
-    if reach == "OFF":
-        return {}
-    name = "localhost" if reach == "LOCALHOST" else "subnet"
+    name = "subnet" if leaves_machine else "localhost"
     settings = {_PROFILES[0]: str(folder / f"{name}.xml"), _RANGE: "SUBNET"}
     return {**settings, _ALONE: "0"} if alone else settings
 

@@ -70,7 +70,9 @@ def test_what_the_nodes_say_is_kept_by_node_until_they_say_something_else(hand):
     hand.report(PLANT, answered_ns=3 * SECOND, tick_ns=4 * SECOND, mode="a")
     hand.report(REGULATOR, WARN, "at its limit", grasp_force_n=7.125)
     hand.report(CONTROLLER, ERROR, "no contact", position_error_m=0.0123, mode="drive")
-    hand.report("/right/plant", STALE, "silent", answered_ns=9 * SECOND)
+    hand.report("/left/viewer", STALE, "silent")
+    for other in ("/right/plant", "/left/thumb/plant", "/plant"):
+        hand.report(other, ERROR, "of another hand", answered_ns=9 * SECOND)
     assert monitor.in_words() == "pose error 12.300 mm  k_f 7.12 N"
     assert monitor.answered() == monitor.tick == 3 * SECOND
     assert monitor.of("plant")["mode"] == "a"

@@ -14,7 +14,11 @@ RANGE, PROFILE = "ROS_AUTOMATIC_DISCOVERY_RANGE", "FASTRTPS_DEFAULT_PROFILES_FIL
 
 @pytest.mark.parametrize(
     ("given", "name"),
-    [({}, "subnet"), ({RANGE: "SUBNET"}, "subnet"), ({RANGE: "LOCALHOST"}, "localhost")],
+    [
+        ({}, "subnet"),
+        *(({RANGE: given}, "subnet") for given in ("", "SUBNET", "SYSTEM_DEFAULT")),
+        *(({RANGE: given}, "localhost") for given in ("LOCALHOST", "localhost", "off", "lan")),
+    ],
 )
 def test_the_range_chooses_a_profile_of_sockets(given, name):
     settings = socket_settings(given)
