@@ -206,7 +206,8 @@ def _apply(change: Change, node: str, block: Any) -> None:
     elif name == names.TOUCH_REJECTED:
         block.reject_touch(value)
     elif name == names.GRASP_FORCE:
-        block.goal = value
+        limits = block.config  # changed since, perhaps
+        block.request(min(max(value, limits.minimum), limits.maximum))
     elif name == names.DESIRED_POSE:
         block.targets.schedule(value, change.stamp, judged=True)
     elif name == "reset":

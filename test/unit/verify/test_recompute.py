@@ -97,6 +97,27 @@ def test_the_regulator_feels_also_the_ticks_that_it_was_too_slow_to_answer(gravi
     assert grasp.same and grasp.compared == len(record) - 3
 
 
+def test_a_request_ends_what_a_slip_in_normal_forces_has_raised(gravity, tmp_path):
+    scenario, record = gravity[0], copy.deepcopy(gravity[1])
+    slides = (np.arange(TICKS) >= 60) & (np.arange(TICKS) < 80)
+    noise = np.where(slides, 0.5, 0.005)[:, None] * np.random.default_rng(4).normal(size=(TICKS, 3))
+    record.forces[:], record.forces[:, :, 1] = np.nan, 5.0 + noise
+    regulator = SlipRegulator(scenario.slip_regulator)
+    for row, stamp in enumerate(record.stamps.tolist()):
+        for user in scenario.user_forces:
+            if user.stamp == stamp:
+                regulator.request(user.force)
+        joints = Joints(record.theta[row], record.rates[row], record.torque[row])
+        contacts = Contacts.from_poses(
+            record.contact_positions[row], record.contact_quaternions[row]
+        )
+        record.grasp_force[row] = regulator.step(stamp, joints, contacts, record.forces[row])
+    assert record.grasp_force[99] > 1.2 * record.grasp_force[59]
+    assert record.grasp_force[140] < record.grasp_force[99]
+    result = recompute(write(tmp_path, scenario, record))
+    assert next(c for c in result if c.topic == "grasp_force").same
+
+
 def without_touch(scenario: Scenario, record: Record, held: tuple, silent: tuple) -> Record:
     """Return a run without the forces of some ticks, during which it held or did not answer."""
     out = copy.deepcopy(record)
