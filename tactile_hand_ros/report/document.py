@@ -123,7 +123,8 @@ def _rows(run: RunData, limit: int) -> Rows:
         derived.contact_forces(record)[:, :, 1],
         derived.required_friction(record),
     )
-    highest = [each.max(axis=1, initial=-np.inf) for each in of_parts]  # a bag may lack a finger
+    # A bag may lack a finger, and a finger may not touch.
+    highest = [np.fmax.reduce(each, axis=1, initial=np.nan) for each in of_parts]
     signals = [*highest, record.grasp_force, run.latencies]
     return shown(len(record), limit, signals, at_events.clip(0, len(record) - 1))
 

@@ -9,15 +9,15 @@ from __future__ import annotations
 
 import re
 from bisect import bisect_left, bisect_right
-from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tactile_hand_ros import names
-from tactile_hand_ros.bag.reader import TopicMessages
+from tactile_hand_ros.bag.reader import TopicMessages, decode
 from tactile_hand_ros.cdr import Table, header_stamp, tables
 from tactile_hand_ros.closed_loop.record import Record
 from tactile_hand_ros.compiled import Array
@@ -49,6 +49,11 @@ class HandTopics:
     def full(self, name: str) -> str:
         """Return the full name of a relative topic."""
         return self.prefix + name
+
+    def ordered(self, grips: Sequence[bytes]) -> HandTopics:
+        """Return them with the fingers in the order of `grip_state`, which is that of the hand."""
+        named = list(decode("sensor_msgs/msg/JointState", grips[0]).name) if grips else []
+        return replace(self, fingers=named) if sorted(named) == sorted(self.fingers) else self
 
     @property
     def types(self) -> dict[str, str]:

@@ -73,8 +73,8 @@ class Run(Result):
         Args:
             path: Folder of a run (with ``bag/`` in it), or a bag folder or file.
             namespace: Namespace of the hand, if the bag holds several.
-            fingers: Names of the fingers in order; by default those of the scenario's hand, or all
-                that have topics.
+            fingers: Names of the fingers in order; by default those of `grip_state`, or of the
+                scenario's hand, or all that have topics.
             steered: Whether a user steered it, so that no goal applies; by default as recorded in
                 the summary.json next to the bag.
 
@@ -98,6 +98,8 @@ class Run(Result):
         wanted = {*self.topics.types, *map(self.topics.full, [*asked, names.PUSH])}
         description = self.topics.full(names.ROBOT_DESCRIPTION)
         messages = read_topics(self.bag, {*wanted, description})
+        if fingers is None:
+            self.topics = self.topics.ordered(messages[self.topics.full(names.GRIP_STATE)].data)
         if texts := messages.pop(description).data:
             self.description = str(decode("std_msgs/msg/String", texts[0]).data)
         states = self.topics.full(names.JOINT_STATES)

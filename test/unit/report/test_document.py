@@ -100,6 +100,8 @@ def test_of_a_long_run_shows_peaks_and_what_there_is_room_for(tmp_path: Path) ->
     record = random_record(500)
     record.rates[101, 1] = -99.0
     record.grasp_force[407] = 99.0
+    record.forces[233, 0] = (99.0, 0.001, 0.0)
+    record.contact_positions[:, 1] = record.forces[:, 1] = np.nan  # it never touches
     run = Run(write_record(tmp_path / "bag", record))
     whole = run_document(run)
     size = sum(unpack(column).nbytes for column in whole["columns"].values())
@@ -107,6 +109,7 @@ def test_of_a_long_run_shows_peaks_and_what_there_is_room_for(tmp_path: Path) ->
     assert whole["shown"] == whole["ticks"] == part["ticks"] == 500 > 4 * part["shown"]
     assert len(values(part, "time")) == part["shown"]
     assert values(part, "rates").min() == -99.0 and values(part, "grasp_force").max() == 99.0
+    assert np.nanmax(values(part, "beta")) > 9e4
     assert part["tables"] == whole["tables"] and part["events"] == whole["events"]
 
 

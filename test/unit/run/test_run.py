@@ -114,6 +114,12 @@ class TestRecord:
         with pytest.raises(BagError, match="no finger 'finger1', but: finger_1, finger_2, fin"):
             Run(tmp_path / "bag", fingers=["finger1", "finger_2", "finger_3"])
 
+    def test_without_its_scenario_the_fingers_have_the_order_of_the_hand(self, tmp_path):
+        """Contacts have no names, and the thumb, which comes first, is not the first by name."""
+        record = random_record()
+        record.finger_names[:] = ["thumb", "index", "middle"]
+        assert_same(Run(write_record(tmp_path / "bag", record)).record, record)
+
     @pytest.mark.parametrize(
         ("poses", "in_force"),
         [
