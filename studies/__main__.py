@@ -140,11 +140,14 @@ def faults(
     from studies.faults import campaign, space
     from tactile_hand_ros.errors import ConfigurationError
 
-    ways, known = tuple(dict.fromkeys(way or space.WAYS)), (*space.WAYS, *space.SITUATIONS)
-    if unknown := {*ways, *(hand or ())}.difference(known):
-        raise ConfigurationError(f"unknown: {', '.join(unknown)}; choose from {', '.join(known)}")
+    ways, hands = tuple(dict.fromkeys(way or space.WAYS)), tuple(hand or space.SITUATIONS)
+    for option, given, known in (("way", ways, space.WAYS), ("hand", hands, space.SITUATIONS)):
+        if unknown := set(given).difference(known):
+            raise ConfigurationError(
+                f"--{option} {', '.join(unknown)} is unknown; choose from {', '.join(known)}"
+            )
     check_writable(out)
-    cells = space.cells(hand or tuple(space.SITUATIONS))
+    cells = space.cells(hands)
     among = [c for c in cells if c.way in ways]
     with progress("injecting") as watch:
         chosen = space.sample(runs, seed, among)

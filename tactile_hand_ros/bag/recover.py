@@ -125,13 +125,15 @@ def _records(stream: BinaryIO, index: Summary) -> Iterator[McapRecord | int]:
 
 
 def _last_received(files: list[Path]) -> int:
-    """Return when the last complete chunk of a bag ends, ns; 0 without one."""
+    """Return when the last complete chunk or message of a bag was received, ns; 0 without one."""
     found = 0
     for file in files:
         with file.open("rb") as stream:
             for record in _records(stream, _index(stream)):
                 if isinstance(record, Chunk):
                     found = max(found, record.message_end_time)
+                elif isinstance(record, Message):
+                    found = max(found, record.log_time)
     return found
 
 

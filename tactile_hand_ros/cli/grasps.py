@@ -70,7 +70,8 @@ def find_grasp(
     chosen = mass or min(_HEAVY, _PART * heaviest)
     print(f"with {chosen:.3g} kg, it bears pulls of up to {best.load - _GRAVITY * chosen:.2g} N")
     kind = "" if shape == "box" else f"{shape}_"
-    name = f"{Path(hand).stem}_{kind}{1e3 * size[0]:.0f}mm"
+    edges = size if len(set(size)) > 1 else size[:1]
+    name = f"{Path(hand).stem}_{kind}{'x'.join(f'{1e3 * edge:.0f}' for edge in edges)}mm"
     where = str(Path(hand).resolve()) if Path(hand).is_file() else hand
     scenario = scenario_values(where, body.changed({"mass": chosen}), best)
     file = folder / f"{name}.yaml"

@@ -6,7 +6,9 @@ from collections import Counter
 
 import pytest
 
+from studies import __main__ as studies
 from studies.faults import space
+from tactile_hand_ros.errors import ConfigurationError
 
 
 @pytest.mark.parametrize("runs", [1, 37, 2000])
@@ -18,6 +20,13 @@ def test_no_cell_comes_twice_more_often_than_another(runs):
     assert drawn == space.sample(runs, 3, space.cells()) != space.sample(runs, 4, space.cells())
     sessions = [key for key, _ in itertools.groupby(drawn, lambda run: (run.way, run.situation))]
     assert len(sessions) == len(set(sessions))
+
+
+@pytest.mark.parametrize(("option", "given"), [("way", "paper"), ("hand", "composed")])
+def test_an_option_of_the_other_list_is_refused(tmp_path, option, given):
+    with pytest.raises(ConfigurationError, match=f"--{option} {given} is unknown; choose from"):
+        studies.faults(tmp_path / "out", **{option: [given]})
+    assert not list(tmp_path.iterdir())
 
 
 def test_every_fault_of_every_component_has_its_cells():

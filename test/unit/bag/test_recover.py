@@ -240,6 +240,19 @@ def test_the_bag_of_a_run_is_found_in_its_folder(tmp_path, monkeypatch):
     assert recover(".").target.resolve() == tmp_path / "run" / "bag_recovered"
 
 
+def test_the_last_seconds_of_a_bag_without_chunks(tmp_path):
+    with (tmp_path / "run.mcap").open("wb") as stream:
+        writer = Writer(stream, use_chunking=False)
+        writer.start("ros2", "another")
+        writer.register_schema(STRING, "ros2msg", message_definition(STRING).text.encode())
+        channel = writer.register_channel("/a", "cdr", 1)
+        for i in range(101):
+            writer.add_message(channel, 10**9 + 10**8 * i, numbered(i), 0)
+        writer.finish()
+    kept = recover(tmp_path / "run.mcap", last=2.0).target
+    assert [m.data for m in read_messages(kept)] == [numbered(i) for i in range(80, 101)]
+
+
 def test_the_last_seconds_are_those_received_last_and_all_of_a_latched_topic(tmp_path):
     with BagWriter(tmp_path / "run", chunk_size=2000) as writer:
         latched = writer.add_channel("/latched", STRING, offers=[LATCHED], type_hash=STRING_HASH)

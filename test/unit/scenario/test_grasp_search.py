@@ -166,7 +166,7 @@ def test_the_command_writes_a_scenario_that_can_run_and_a_picture(tmp_path, caps
     assert np.isfinite(record.true_positions).all()
     words = ["human", "0.04", "0.08", "--shape", "cylinder"]
     assert main(["grasp", *words, "--out", str(tmp_path)]) == 0
-    body = load_scenario(str(tmp_path / "human_cylinder_40mm.yaml")).plant.object
+    body = load_scenario(str(tmp_path / "human_cylinder_40x40x80mm.yaml")).plant.object
     assert (body.shape, body.size) == ("cylinder", (0.04, 0.04, 0.08))
     for words, message in (
         (["human"], "expected one or three positive lengths"),
