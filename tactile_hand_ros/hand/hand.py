@@ -43,7 +43,13 @@ def tip_jacobians(
 ) -> tuple[Array, Array]:
     """Return the Jacobians J and J_Omega of the fingertips, each of shape (k, 3, m), equation (1).
 
-    The arguments are those of `RawDynamics`.
+    Args:
+        spatial: Velocities of the bodies at the palm's origin per rate of n single joints, linear
+            above angular, palm axes, shape (6, n).
+        support: Which single joints move which tip, shape (k, n).
+        coupling: Rates of the single joints per rate of the driven ones, shape (n, m); empty where
+            all are driven.
+        centers: Fingertip centers, palm frame, shape (k, 3), m.
     """
     k, m = support.shape
     linear, angular = np.zeros((k, 3, m)), np.zeros((k, 3, m))
@@ -98,28 +104,6 @@ class Dynamics(NamedTuple):
     """Fingertips, M_h, shape (m, m), and C_h theta' + N_h, shape (m,), N m, of equation (3)."""
 
     tips: Fingertips
-    inertia: Array
-    bias: Array
-
-
-class RawDynamics(NamedTuple):
-    """Dynamics of the hand in the form of Pinocchio.
-
-    Attributes:
-        centers: Fingertip centers, palm frame, shape (k, 3), m.
-        spatial: Velocities of the bodies at the palm's origin per rate of n single joints, linear
-            above angular, palm axes, shape (6, n).
-        support: Which single joints move which tip, shape (k, n).
-        coupling: Rates of the single joints per rate of the driven ones, shape (n, m); empty where
-            all are driven.
-        inertia: Upper triangle of M_h, shape (m, m).
-        bias: C_h theta' + N_h, shape (m,), N m.
-    """
-
-    centers: Array
-    spatial: Array
-    support: NDArray[np.bool_]
-    coupling: Array
     inertia: Array
     bias: Array
 
@@ -302,20 +286,15 @@ class Hand:
 
     def dynamics(self, theta: Array, rates: Array) -> Dynamics:
         """Return fingertips, inertia matrix M_h and bias C_h theta' + N_h of equation (3)."""
-        raw = self.raw_dynamics(theta, rates)
-        return Dynamics(self._tips_at(raw.centers), mirrored(raw.inertia), raw.bias.copy())
-
-    def raw_dynamics(self, theta: Array, rates: Array) -> RawDynamics:
-        """Return the raw arrays of `dynamics`, which the next call overwrites."""
         model, data, s = self.model, self._data, self._coupling
         theta, rates = self.all_angles(theta), self._all_rates(rates)
         pin.computeJointJacobians(model, data, theta)
         pin.crba(model, data, theta)
         pin.nonLinearEffects(model, data, theta, rates)
-        centers, inertia, bias = self._read_centers(), self._inertia, self._bias
+        tips, inertia = self._tips_at(self._read_centers()), mirrored(self._inertia)
         if s.size:
-            inertia, bias = np.asfortranarray(s.T @ mirrored(inertia) @ s), s.T @ bias
-        return RawDynamics(centers, self._spatial, self._support, s, inertia, bias)
+            inertia = mirrored(s.T @ inertia @ s)
+        return Dynamics(tips, inertia, np.array(self._driven(self._bias)))
 
     def turning_torque(self, theta: Array, rates: Array, spin: Array, acceleration: Array) -> Array:
         """Return the joint torques that balance the turning of the palm, shape (m,), N m.

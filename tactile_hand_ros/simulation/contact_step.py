@@ -12,7 +12,7 @@ from tactile_hand_ros.cholesky import factorize, substitute
 from tactile_hand_ros.compiled import Array, compiled
 from tactile_hand_ros.control.contact import contact_frame, hand_jacobian
 from tactile_hand_ros.control.grasp import grasp_map
-from tactile_hand_ros.hand.hand import Fingertips, RawDynamics, tip_jacobians
+from tactile_hand_ros.hand.hand import Dynamics, Fingertips
 from tactile_hand_ros.rotations import cross, rodrigues
 from tactile_hand_ros.simulation.coulomb import EXACT, ContactImpulses, solve_contacts
 from tactile_hand_ros.simulation.solid import Shape, closest_point
@@ -139,16 +139,14 @@ def observed(world: World, now: Motion, tips: Array) -> tuple[Array, Array, Arra
 
 @compiled
 def velocity_map(
-    hand: RawDynamics, position: Array, points: Array, frames: Array, torsion: float
+    tips: Fingertips, position: Array, points: Array, frames: Array, torsion: float
 ) -> Array:
     """Return A with w = A [theta'; v_o; w_o], object against tip in contact frames.
 
     Its hand part is -R_C^T J_h and its object part R_C^T G^T with G of (4), equation (6), of shape
     (k, 3, m + 6). With a torsion, m, a fourth row is that times the relative spin about the normal.
     """
-    k, m = len(hand.centers), len(hand.bias)
-    jacobians = tip_jacobians(hand.spatial, hand.support, hand.coupling, hand.centers)
-    tips = Fingertips(hand.centers, *jacobians)
+    k, _, m = tips.linear.shape
     out = np.zeros((k, 4 if torsion > 0.0 else 3, m + 6))
     out[:, :3, :m] = -hand_jacobian(tips, points, frames)
     out[:, :3, m:] = grasp_map(points - position, frames).T.reshape(k, 3, 6)
@@ -166,7 +164,7 @@ def step(
     now: Motion,
     world: World,
     friction: Array,
-    hand: RawDynamics,
+    hand: Dynamics,
     torque: Array,
     wrench: Array,
 ) -> Motion:
@@ -183,11 +181,11 @@ def step(
         torque: tau, shape (m,), N m.
         wrench: External wrench and weight about the object's center of mass, shape (6,), N and N m.
     """
-    k, m = len(hand.centers), len(hand.bias)
+    k, _, m = hand.tips.linear.shape
     v = now.velocities
     position, rotation = moved(now.position, now.rotation, 0.5 * h, v[m:])
-    points, frames, gaps = contact_geometry(world, position, rotation, hand.centers)
-    every = velocity_map(hand, position, points, frames, world.torsion)
+    points, frames, gaps = contact_geometry(world, position, rotation, hand.tips.positions)
+    every = velocity_map(hand.tips, position, points, frames, world.torsion)
     turning, slid = _since(h, now, every)
     near = np.flatnonzero(gaps < NEAR)
     c, d = len(near), every.shape[1]

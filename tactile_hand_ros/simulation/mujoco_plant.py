@@ -108,9 +108,9 @@ class MujocoPlant(Plant):
         turn = vector_from_rotation(rotation @ now.rotation.T)
         mean = np.concatenate([theta - now.theta, position - now.position, turn]) / h
         there = 0.5 * (position + now.position), rotation_from_vector(0.5 * turn) @ now.rotation
-        hand = self.hand.raw_dynamics(0.5 * (theta + now.theta), rates)
-        points, frames, _ = contact_geometry(self._world, *there, hand.centers)
-        rows = velocity_map(hand, there[0], points, frames, torsion)
+        tips = self.hand.fingertips(0.5 * (theta + now.theta))
+        points, frames, _ = contact_geometry(self._world, *there, tips.positions)
+        rows = velocity_map(tips, there[0], points, frames, torsion)
         impulses = h / _SUBSTEPS * forces
         impulses[:, :3] = np.einsum("ij,ijk->ik", impulses[:, :3], frames)
         loaded = impulses[:, 1] > 0.0

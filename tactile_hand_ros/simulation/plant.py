@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from tactile_hand_ros.compiled import Array
 from tactile_hand_ros.control.contact import Contacts
 from tactile_hand_ros.errors import ConfigurationError, DivergedError, ObjectModelError
-from tactile_hand_ros.hand.hand import Hand, RawDynamics, mirrored
+from tactile_hand_ros.hand.hand import Dynamics, Hand
 from tactile_hand_ros.hand.joints import Joints
 from tactile_hand_ros.rotations import (
     quaternion_from_rotation,
@@ -276,12 +276,12 @@ class Plant:
         of loads and weight about the object's center of mass, shape (6,), N and N m.
         """
         theta, ahead = half_step(h, self._now)
-        terms = self.hand.raw_dynamics(theta, ahead[: self.hand.joints])
+        terms = self.hand.dynamics(theta, ahead[: self.hand.joints])
         if turns is not None:
             terms = terms._replace(bias=terms.bias + turns)
         return self._with_losses(h, terms, wrench)
 
-    def _with_losses(self, h: float, hand: RawDynamics, wrench: Array) -> Motion:
+    def _with_losses(self, h: float, hand: Dynamics, wrench: Array) -> Motion:
         """Return a step with damping and Coulomb friction of the joints, where the hand has them.
 
         Damping is implicit, so that it is stable at any step. Friction is a torque against the
@@ -291,8 +291,8 @@ class Plant:
         if not self.hand.has_losses:
             return self._within_limits(h, self._now, hand, self._acting, wrench)
         m, start, largest = self.hand.joints, self._now.velocities, self.hand.friction
-        lossless, bias = mirrored(hand.inertia), hand.bias + self.hand.damping * start[:m]
-        inertia = np.asfortranarray(lossless + h * np.diag(self.hand.damping))
+        inertia = hand.inertia + h * np.diag(self.hand.damping)
+        bias = hand.bias + self.hand.damping * start[:m]
         hand = hand._replace(inertia=inertia, bias=bias)
         for _ in range(_TRIALS * m):
             rests = (self._slides == 0.0) & (largest > 0.0)
@@ -310,7 +310,7 @@ class Plant:
         return after
 
     def _within_limits(
-        self, h: float, now: Motion, hand: RawDynamics, torque: Array, wrench: Array
+        self, h: float, now: Motion, hand: Dynamics, torque: Array, wrench: Array
     ) -> Motion:
         """Return a step in which no joint passes a limit.
 
@@ -352,22 +352,14 @@ class Plant:
         forces, palm = impulses[:, :3] / self.config.time_step, None
         if self.config.palm_motion:
             palm = quaternion_from_rotation(self._turning(self.time).rotation)
+        v = now.velocities
+        hand = now.theta, v[:m], self._joints
+        body = now.position, now.rotation, v[m : m + 3], v[m + 3 :]
+        touch = TactileReading(points, quaternions_of_rows(frames.reshape(-1, 9)), forces)
+        slip = now.sliding, now.slid, gaps
+        speeds = np.hypot(now.sliding[:, 0], now.sliding[:, 1])
         return PlantState(
-            now.theta,
-            now.velocities[:m],
-            self._joints,
-            now.position,
-            now.rotation,
-            now.velocities[m : m + 3],
-            now.velocities[m + 3 :],
-            Contacts(points, frames),
-            forces,
-            now.sliding,
-            now.slid,
-            gaps,
-            TactileReading(points, quaternions_of_rows(frames.reshape(-1, 9)), forces),
-            np.hypot(now.sliding[:, 0], now.sliding[:, 1]),
-            palm,
+            *hand, *body, Contacts(points, frames), forces, *slip, touch, speeds, palm
         )
 
     @property
@@ -383,16 +375,13 @@ class Plant:
         return out
 
 
-def _at_rest(
-    now: Motion, hand: RawDynamics, joints: NDArray[np.bool_]
-) -> tuple[Motion, RawDynamics]:
+def _at_rest(now: Motion, hand: Dynamics, joints: NDArray[np.bool_]) -> tuple[Motion, Dynamics]:
     """Stop some joints, shape (m,), by impulses on them, and hold them by a huge inertia."""
     if not joints.any():
         return now, hand
-    m, inertia, v = len(joints), mirrored(hand.inertia), now.velocities
+    m, inertia, v = len(joints), hand.inertia.copy(), now.velocities
     back = np.linalg.inv(inertia)[:, joints]
     impulse = np.linalg.solve(back[joints], v[:m][joints])
     now = now._replace(velocities=np.concatenate([v[:m] - back @ impulse, v[m:]]))
     inertia[joints, joints] += _ENDLESS * inertia.diagonal().max()
-    # In Pinocchio's order: for another, `step` would be compiled again, for many seconds.
-    return now, hand._replace(inertia=np.asfortranarray(inertia))
+    return now, hand._replace(inertia=inertia)

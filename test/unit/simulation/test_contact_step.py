@@ -44,7 +44,7 @@ class Scene:
     def follow(self):
         """Take the next step."""
         theta, ahead = half_step(H, self.now)
-        terms = self.hand.raw_dynamics(theta, ahead[:9])
+        terms = self.hand.dynamics(theta, ahead[:9])
         acting = self.friction, terms, self.torque, np.zeros(6)
         self.now = step(H, self.now, self.world, *acting)
         return self.now
@@ -131,10 +131,10 @@ def without_contacts(scene, v):
 
     v are those at the start and of the step before, shape (15,).
     """
-    terms = scene.hand.raw_dynamics(scene.now.theta + 0.5 * H * v[:9], v[:9])
+    terms = scene.hand.dynamics(scene.now.theta + 0.5 * H * v[:9], v[:9])
     turned = rotation_from_vector(0.5 * H * v[12:]) @ scene.now.rotation
     matrix = np.zeros((15, 15))
-    matrix[:9, :9] = np.triu(terms.inertia) + np.triu(terms.inertia, 1).T
+    matrix[:9, :9] = terms.inertia
     matrix[9:12, 9:12] = scene.world.mass * np.eye(3)
     matrix[12:, 12:] = turned @ scene.world.inertia @ turned.T
     gyroscopic = np.cross(v[12:], matrix[12:, 12:] @ v[12:])

@@ -193,7 +193,7 @@ def test_a_step_with_a_joint_at_its_stop_runs_the_code_of_every_other_step(monke
     orders, step = [], plant_module.step
 
     def ordered(*args):
-        orders.append(args[4].inertia.flags.f_contiguous)
+        orders.append(args[4].inertia.flags.c_contiguous)
         return step(*args)
 
     monkeypatch.setattr(plant_module, "step", ordered)

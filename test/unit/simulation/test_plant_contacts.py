@@ -228,9 +228,8 @@ def test_a_soft_tip_shears_and_does_not_slide_until_coulombs_limit():
 def test_a_moment_acts_against_the_spin_of_the_object_relative_to_the_tip():
     world, velocity = plant(), np.random.default_rng(1).standard_normal(15)
     state, rates = world.state, velocity[:9]
-    terms = world.hand.raw_dynamics(state.theta, rates)
-    contacts = state.contacts
-    rows = velocity_map(terms, state.position, contacts.positions, contacts.rotations, 0.02)
-    spins = velocity[12:] - world.hand.fingertips(state.theta).angular @ rates
+    tips, contacts = world.hand.fingertips(state.theta), state.contacts
+    rows = velocity_map(tips, state.position, contacts.positions, contacts.rotations, 0.02)
+    spins = velocity[12:] - tips.angular @ rates
     expected = 0.02 * (spins * contacts.normals).sum(axis=1)
     np.testing.assert_allclose(rows[:, 3] @ velocity, expected, atol=1e-12)
