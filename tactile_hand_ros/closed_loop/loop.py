@@ -55,6 +55,20 @@ class Chain:
         self.pass_back()
         return Answer(grasp_force, optimal, command)
 
+    def write(self, record: Record, row: int, answer: Answer) -> None:
+        """Write the answer to a tick into a row; what is unknown stays NaN."""
+        command = answer.command
+        record.grasp_force[row] = answer.grasp_force
+        record.optimal_forces[row] = answer.optimal.forces
+        record.command[row] = command.torque
+        if command.pose is not None:
+            record.auxiliary_position[row] = command.pose.position
+            record.auxiliary_quaternion[row] = quaternion_from_rotation(command.pose.orientation)
+        if np.isfinite(record.grasp_force[row]):
+            record.friction[row] = self.regulator.learned_friction
+            record.slip_evidence[row] = self.regulator.slip_likelihood
+            record.grip[row] = self.regulator.state
+
     def pass_back(self) -> None:
         """Forward to the regulator whether touch is rejected and whether the joints are held."""
         self.regulator.reject_touch(self.controller.touch_rejected)
@@ -173,20 +187,9 @@ class ClosedLoop:
         for column, value in zip(true, state.touch, strict=True):
             column[row] = value
         record.true_sliding[row], record.true_slid[row] = state.speeds, state.slid
-        self._write(record, row, answer)
-        return answer.command
-
-    def _write(self, record: Record, row: int, answer: Answer) -> None:
-        command, target = answer.command, self.controller.targets.accepted
-        record.grasp_force[row] = answer.grasp_force
-        record.optimal_forces[row] = answer.optimal.forces
-        record.command[row] = command.torque
-        if command.pose is not None:
-            record.auxiliary_position[row] = command.pose.position
-            record.auxiliary_quaternion[row] = quaternion_from_rotation(command.pose.orientation)
+        self.chain.write(record, row, answer)
+        target = self.controller.targets.accepted
         if target is not None:
             self._desired = target.position, target.quaternion
         record.desired_position[row], record.desired_quaternion[row] = self._desired
-        record.friction[row] = self.regulator.learned_friction
-        record.slip_evidence[row] = self.regulator.slip_likelihood
-        record.grip[row] = self.regulator.state
+        return answer.command

@@ -490,7 +490,7 @@ class Controller:
         Raises:
             GraspError: If they are not finite.
         """
-        pressed = self._pressed(now.optimal_forces, now.grasp_force, now.forces, now.elapsed)
+        pressed = self._pressed(now)
         seen = LawInput(tips, now.contacts, now.optimal_forces, pressed)
         pose = self._law.auxiliary_pose(tips, now.contacts)
         parts = self._law.step(seen, now.rates, wanted, pose, now.elapsed, now.forces)
@@ -503,16 +503,14 @@ class Controller:
             raise GraspError(_NOT_FINITE)
         return parts
 
-    def _pressed(
-        self, optimal_forces: Array, grasp_force: float, forces: Array | None, dt: float
-    ) -> float:
+    def _pressed(self, now: _Tick) -> float:
         """Return the k_f to press with, N: for the law `grip` that which the skin measures."""
-        c = self.config
+        c, grasp_force, forces = self.config, now.grasp_force, now.forces
         if c.law.name != "grip" or forces is None:
             return grasp_force
         age = c.touch_latency + (0.5 + self._delay.allowed) * self._hold.period
-        passed = 0.0 if self.joints_held or self._unfelt.any() else dt
-        limit, shown = c.law.integral.force_limit, (optimal_forces[:, 1], forces[:, 1])
+        passed = 0.0 if self.joints_held or self._unfelt.any() else now.elapsed
+        limit, shown = c.law.integral.force_limit, (now.optimal_forces[:, 1], forces[:, 1])
         crush = c.grasp_force_limit if c.grasp_force_limit > 0.0 else math.inf
         ends = -min(limit, grasp_force), min(limit, crush - grasp_force)
         return self._pressing.step(grasp_force, *shown, *ends, passed, age)

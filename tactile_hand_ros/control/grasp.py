@@ -223,11 +223,9 @@ def required_friction(forces: Array) -> Array:
     Forces in C_i have the shape (k, 3), N. The result of shape (k,) is infinite for a tangential
     force without a normal force, and 0 without a force.
     """
-    tangential = np.hypot(forces[..., 0], forces[..., 2])
-    normal = forces[..., 1]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        beta = np.where(normal > 0.0, tangential / normal, np.inf)
-    return np.where((normal <= 0.0) & (tangential == 0.0), 0.0, beta)
+    tangential, normal = np.hypot(forces[..., 0], forces[..., 2]), forces[..., 1]
+    beta = np.where(tangential == 0.0, 0.0, np.inf)
+    return np.divide(tangential, normal, out=beta, where=normal > 0.0)
 
 
 class VirtualFrame:

@@ -114,10 +114,6 @@ class GraspTorque(NamedTuple):
         """Return a torque of the contacts, shape (m,), N m, in these parts."""
         return cls(*_split(tips, torque))
 
-    def scaled(self, factor: float) -> GraspTorque:
-        """Return it with all parts multiplied by a factor."""
-        return GraspTorque(factor * self.tensions, factor * self.load)
-
     def internal_forces(self, tips: Fingertips) -> Array:
         """Return the internal forces at these fingertips, shape (k, 3), N, palm axes."""
         return _pulls(tips.positions, self.tensions)
@@ -247,7 +243,8 @@ class PostureHold:
             self.held = Held(GraspTorque.of(tips, applied - weight), none)
         internal, load, before = self.held
         if 0.0 < before < grasp_force:
-            self.held = Held(internal.scaled(grasp_force / before), load, grasp_force)
+            more = GraspTorque(*(grasp_force / before * part for part in internal))
+            self.held = Held(more, load, grasp_force)
         return self.held
 
 

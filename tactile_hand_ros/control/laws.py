@@ -118,11 +118,6 @@ class Target(NamedTuple):
         """Quaternion of R_pod (x, y, z, w), exactly as sent, shape (4,)."""
         return quaternion_from_rotation(self.orientation) if self.sent is None else self.sent
 
-    @property
-    def is_whole(self) -> bool:
-        """Whether position and orientation are both given."""
-        return not (np.isnan(self.position).any() or np.isnan(self.orientation).any())
-
     def kept(self, pose: AuxiliaryPose) -> Target:
         """Return it with the missing part taken from a pose of the grasp."""
         kept = self

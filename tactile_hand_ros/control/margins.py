@@ -108,10 +108,6 @@ class SlipMonitor:
 
     def __init__(self) -> None:
         """Start without a slip."""
-        self.reset()
-
-    def reset(self) -> None:
-        """Forget slips too."""
         self._since: int | None = None
         self.clear()
 

@@ -249,11 +249,8 @@ def _torques(
     """
     tips, inertia, bias = terms
     shown = joint_torques(tips, points, in_palm(rotations, forces, 1.0))
-    return (
-        applied - inertia @ acceleration - bias,
-        shown,
-        own @ (np.abs(inertia) * errors).sum(axis=1),
-    )
+    pressed = applied - inertia @ acceleration - bias
+    return pressed, shown, own @ (np.abs(inertia) * errors).sum(axis=1)
 
 
 @compiled

@@ -153,8 +153,9 @@ class TargetQueue:
         """
         is_judged = False
         if self.grasp is not None and self._may_check:
-            self._may_check, is_judged = False, target.is_whole
-            self._judge(target.kept(self.grasp.pose), self.grasp)
+            kept = target.kept(self.grasp.pose)
+            self._may_check, is_judged = False, kept is target
+            self._judge(kept, self.grasp)
         self.schedule(target, stamp, judged=is_judged)
 
     def schedule(self, target: Target, stamp: int, *, judged: bool) -> None:

@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 from tactile_hand_ros.compiled import Array, compiled
 from tactile_hand_ros.config.hand_config import Coupling, FingerConfig, HandConfig, load_hand_config
 from tactile_hand_ros.errors import HandModelError
-from tactile_hand_ros.hand.joints import Joints
 from tactile_hand_ros.hand.tip_fit import fitted_tips
 from tactile_hand_ros.hand.urdf import describe
 
@@ -262,11 +261,6 @@ class Hand:
         """Return fingertip centers and Jacobians, equation (1)."""
         pin.computeJointJacobians(self.model, self._data, self.all_angles(theta))
         return self._tips_at(self._read_centers())
-
-    def pressed_by(self, joints: Joints) -> Array | None:
-        """Return the `tip_forces` of their torque, shape (k, 3), N; None if it is unknown."""
-        theta, _, torque = joints
-        return None if torque is None else tip_forces(self.fingertips(theta), torque)
 
     def _tips_at(self, centers: Array) -> Fingertips:
         jacobians = tip_jacobians(self._spatial, self._support, self._coupling, centers)

@@ -312,16 +312,6 @@ def _hull(points: Array) -> tuple[Array, Array]:
             f"{len(points)} points do not span a solid; give at least four that are not in "
             "one plane"
         ) from error
-    return points[hull.vertices], _merge_coplanar(hull.equations)
-
-
-def _merge_coplanar(equations: Array) -> Array:
-    """Return each plane once; Qhull lists it for every triangle of a face."""
-    kept = np.empty_like(equations)
-    count = 0
-    for plane in equations:
-        # Tighter than the tolerance that finds a face's corners, or faces would lose some.
-        if not (np.abs(plane - kept[:count]).max(axis=1, initial=0.0) < 1e-9).any():
-            kept[count] = plane
-            count += 1
-    return kept[:count].copy()
+    # Each plane once; Qhull lists it for every triangle of a face.
+    _, first = np.unique(hull.equations.round(9), axis=0, return_index=True)
+    return points[hull.vertices], hull.equations[np.sort(first)]

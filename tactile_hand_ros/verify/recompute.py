@@ -25,7 +25,6 @@ from tactile_hand_ros.control.optimizer.force_optimizer import ForceOptimizer, O
 from tactile_hand_ros.control.slip.regulator import SlipRegulator
 from tactile_hand_ros.errors import BagError, GraspError
 from tactile_hand_ros.hand.joints import Joints
-from tactile_hand_ros.rotations import quaternion_from_rotation
 from tactile_hand_ros.run.run import Run
 from tactile_hand_ros.verify.recorded_inputs import (
     CONTROLLERS,
@@ -164,22 +163,14 @@ class ShadowLoop(Chain):
         """Do nothing; the recorded rejections are applied instead."""
 
     def _answer(self, row: int, contacts: Contacts) -> None:
-        r, out, regulator = self._inputs.record, self._out, self.regulator
+        r = self._inputs.record
         stamp = int(r.stamps[row])
         for node in CONTROLLERS:
             self._change(node, stamp)
         if np.isfinite(r.palm[row]).all():
             self._blocks[names.CONTROLLER].turn_palm(r.palm[row])
         seen = self._joints(row), contacts, r.forces[row]
-        grasp_force, optimal, command = self.answer(stamp, *seen)
-        out.grasp_force[row], out.optimal_forces[row] = grasp_force, optimal.forces
-        if np.isfinite(grasp_force):
-            out.grip[row], out.slip_evidence[row] = regulator.state, regulator.slip_likelihood
-            out.friction[row] = regulator.learned_friction
-        out.command[row] = command.torque
-        if command.pose is not None:
-            out.auxiliary_position[row] = command.pose.position
-            out.auxiliary_quaternion[row] = quaternion_from_rotation(command.pose.orientation)
+        self.write(self._out, row, self.answer(stamp, *seen))
 
     def _hold(self, row: int) -> None:
         r = self._inputs.record

@@ -152,7 +152,6 @@ class ForceOptimizer:
         self._k = fingers
         self._shape: Array | None = None
         self._past: tuple[int, Array] | None = None  # tick, ns, and the worst recent loads
-        self._parts: dict[bytes, ForceOptimizer] = {}  # of the fingers that touch, by their mask
         self.configure(config)
 
     def configure(self, config: ForceOptimizerConfig) -> None:
@@ -162,14 +161,12 @@ class ForceOptimizer:
             ConfigurationError: If they do not fit; then the old ones stay.
         """
         self._weights, self.config = config.weight_vector(self._k), config
-        self._parts.clear()
         self._set_up()
 
     def reset(self) -> None:
         """Forget the last solution and the recent loads."""
         self._set_up()
         self._past = None
-        self._parts.clear()
 
     def step(
         self,
@@ -306,6 +303,7 @@ class ForceOptimizer:
         self._program = QuadraticProgram(self._problem, is_exact)
         self._shaper = ConeOptimizer(self._weights, minimum, is_exact)
         self._shape = None
+        self._parts: dict[bytes, ForceOptimizer] = {}  # of the fingers that touch, by their mask
 
     def _without_answer(self, status: Status, reason: str) -> OptimalForces:
         return OptimalForces(status, reason, np.full((self._k, 3), np.nan))

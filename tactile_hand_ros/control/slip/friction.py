@@ -77,7 +77,7 @@ class FrictionEstimator:
 
     def __init__(self, config: FrictionConfig, contacts: int) -> None:
         """Start k contacts from the prior."""
-        self._memory: Rows = np.zeros(contacts, _MEMORY)
+        self.memory: Rows = np.zeros(contacts, _MEMORY)
         self.configure(config)
         self.reset()
 
@@ -87,25 +87,16 @@ class FrictionEstimator:
 
     def reset(self) -> None:
         """Go back to the prior."""
-        self._memory[:] = np.zeros((), _MEMORY)
-        self._memory["mean"] = math.log(self._config.prior)
-        self._memory["variance"] = self._config.spread**2
-        self._memory["quiet_for"] = np.inf
-        self._memory["force"] = np.nan
-
-    @property
-    def memory(self) -> Rows:
-        """Copy of the state, for `restore`."""
-        return self._memory.copy()
-
-    def restore(self, memory: Rows) -> None:
-        """Go back to an earlier `memory`."""
-        self._memory[:] = memory
+        self.memory[:] = np.zeros((), _MEMORY)
+        self.memory["mean"] = math.log(self._config.prior)
+        self.memory["variance"] = self._config.spread**2
+        self.memory["quiet_for"] = np.inf
+        self.memory["force"] = np.nan
 
     @property
     def estimate(self) -> Array:
         """The friction mu of each contact, shape (k,)."""
-        mu = np.exp(self._memory["mean"])
+        mu = np.exp(self.memory["mean"])
         return np.asarray(np.minimum(np.maximum(mu, _SMALLEST_MU), _LARGEST_MU))
 
     def step(
@@ -124,7 +115,7 @@ class FrictionEstimator:
         whether it has evidence for slip, and whether the newest samples show slip; others do not
         measure friction. For the rest see `SlipDetector.step`.
         """
-        _learn(self._memory, self._row, forces, normals, state, suspected, agrees, fresh, dt)
+        _learn(self.memory, self._row, forces, normals, state, suspected, agrees, fresh, dt)
 
 
 @compiled

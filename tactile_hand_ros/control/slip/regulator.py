@@ -22,7 +22,7 @@ from tactile_hand_ros.control.slip.grasp_force import (
     SlipResponseConfig,
 )
 from tactile_hand_ros.errors import MessageError
-from tactile_hand_ros.hand.hand import Hand
+from tactile_hand_ros.hand.hand import Hand, tip_forces
 from tactile_hand_ros.hand.joints import Joints
 
 _AGE = 20_000_000  # ns; a restored estimate is at least this old, and at most twice
@@ -155,7 +155,7 @@ class SlipRegulator:
 
     def _forget_slips(self) -> None:
         if self._kept:
-            self._estimator.restore(self._kept[0][1])
+            self._estimator.memory[:] = self._kept[0][1]
 
     @property
     def state(self) -> NDArray[np.int64]:
@@ -237,13 +237,12 @@ class SlipRegulator:
         learns = not (all(self._rejected) or self._held)
         if learns and (not self._kept or stamp - self._kept[-1][0] >= _AGE):
             # To restore it when touch is rejected.
-            self._kept = [*self._kept[-1:], (stamp, self._estimator.memory)]
+            self._kept = [*self._kept[-1:], (stamp, self._estimator.memory.copy())]
         parts, at = self._split(contacts, forces)
         grasped = self._is_grasped(contacts)
         axes = parts.internal if parts is not None and grasped else normals
         seen = forces if learns else np.full_like(forces, np.nan)
-        pressed = self.hand.pressed_by(joints)
-        slips, slides = self._watch(seen, normals, axes, fresh, pressed, dt)
+        slips, slides = self._watch(seen, normals, axes, fresh, joints, dt)
         self._update_need(contacts, parts, at, dt, grasped)
         if self.config.mode == "user":
             return
@@ -333,14 +332,15 @@ class SlipRegulator:
         normals: Array,
         axes: Array,
         fresh: NDArray[np.bool_],
-        pressed: Array | None,
+        joints: Joints,
         dt: float,
     ) -> tuple[bool, bool]:
         """Update slip and friction; return whether a contact slips, and its newest sample slips.
 
         The axes are the directions of the internal forces, shape (k, 3).
         """
-        detector = self._detector
+        detector, (theta, _, torque) = self._detector, joints
+        pressed = None if torque is None else tip_forces(self.hand.fingertips(theta), torque)
         state = detector.step(forces, normals, axes, fresh, dt, pressed=pressed)
         agrees, suspected = detector.agrees, detector.likelihood > 0.0
         self._estimator.step(forces, normals, state, suspected, agrees, fresh, dt)
