@@ -11,7 +11,7 @@ import itertools
 import queue
 import time
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -39,7 +39,6 @@ from tactile_hand_ros.ros.endpoints import described, subscribe_directly, taken
 from tactile_hand_ros.ros.messages import PoseCodec, PushCodec
 from tactile_hand_ros.ros.node import TactileNode
 from tactile_hand_ros.ros.relay import PERIOD, batch_by_topic
-from tactile_hand_ros.ros.runner import run_node
 from tactile_hand_ros.scenario.scenario import NODES
 from tactile_hand_ros.simulation.plant_run import PUSH_LASTS
 from tactile_hand_ros.simulation.skin import TactileSensorConfig
@@ -253,8 +252,3 @@ class CockpitNode(TactileNode[CockpitConfig]):
             "response": dict(self._watch.response),
             "report": self.report is not None,
         }
-
-
-def main(args: Sequence[str] | None = None) -> int:
-    """Run the cockpit until SIGINT or SIGTERM and return the exit code."""
-    return run_node(CockpitNode, args)

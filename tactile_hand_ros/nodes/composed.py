@@ -170,8 +170,3 @@ def main(args: Sequence[str] | None = None) -> int:
     record = RECORD in line
     line = [word for word in line if word != RECORD]
     return run_nodes(lambda: composed_nodes(record=record), line, described=MEMBERS)
-
-
-def controllers(args: Sequence[str] | None = None) -> int:
-    """Run the controllers of a real hand until SIGINT or SIGTERM and return the exit code."""
-    return run_nodes(controller_nodes, args, described=CONTROLLERS)

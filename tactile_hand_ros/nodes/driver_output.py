@@ -26,7 +26,6 @@ from tactile_hand_ros.hand.hand import Hand
 from tactile_hand_ros.ros.endpoints import message_class
 from tactile_hand_ros.ros.messages import JointCodec
 from tactile_hand_ros.ros.node import TactileNode
-from tactile_hand_ros.ros.runner import run_node
 from tactile_hand_ros.ros.ticks import SenderCheck, two_senders
 
 Encode = Callable[[int, Array], Any]  # from a timestamp [ns] and n numbers to a message or bytes
@@ -130,8 +129,3 @@ def driver_message(driver: DriverConfig, joints: Sequence[str]) -> tuple[Any, En
         return message
 
     return kind, encode
-
-
-def main(args: Sequence[str] | None = None) -> int:
-    """Run the driver output until SIGINT or SIGTERM and return the exit code."""
-    return run_node(DriverOutputNode, args)

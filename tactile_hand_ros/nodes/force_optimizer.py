@@ -11,7 +11,6 @@ counted and dropped. If the optimizer is silent or crashes, the controller holds
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -30,7 +29,6 @@ from tactile_hand_ros.ros import streams
 from tactile_hand_ros.ros.diagnostics import WARN, Diagnostics, Mostly
 from tactile_hand_ros.ros.messages import WrenchPublishers
 from tactile_hand_ros.ros.node import TactileNode
-from tactile_hand_ros.ros.runner import run_node
 from tactile_hand_ros.ros.ticks import TickInputs
 
 _OUTSIDE = -1e-5
@@ -164,8 +162,3 @@ class ForceOptimizerNode(TactileNode[ForceOptimizerConfig]):
             self.step(stamp, contacts, CarriedLoad(load, *margins), grasp_force)
         else:
             self.step(stamp, contacts)
-
-
-def main(args: Sequence[str] | None = None) -> int:
-    """Run the force optimizer until SIGINT or SIGTERM and return the exit code."""
-    return run_node(ForceOptimizerNode, args)

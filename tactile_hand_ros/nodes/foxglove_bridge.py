@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Sequence
 from typing import Any
 
 from geometry_msgs.msg import PoseStamped
@@ -19,7 +18,6 @@ from tactile_hand_ros.nodes.recorder.config import TopicSelection
 from tactile_hand_ros.nodes.recorder.topic import RawTopic
 from tactile_hand_ros.ros import qos
 from tactile_hand_ros.ros.node import TactileNode
-from tactile_hand_ros.ros.runner import run_node
 
 ADDRESS = "127.0.0.1"
 """Whoever reaches the socket sees everything, since its protocol has no authentication."""
@@ -152,8 +150,3 @@ class FoxgloveBridgeNode(TactileNode[FoxgloveBridgeConfig]):
     def _send(self, topic: RawTopic, data: bytes, received: int, sent: int) -> None:
         self._offered[topic.name].log(data, log_time=received)
         self.diagnostics.tick()
-
-
-def main(args: Sequence[str] | None = None) -> int:
-    """Run the bridge until SIGINT or SIGTERM and return the exit code."""
-    return run_node(FoxgloveBridgeNode, args)

@@ -13,7 +13,6 @@ answered with the hold too. No torque exceeds the effort limits of the URDF.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -42,7 +41,6 @@ from tactile_hand_ros.ros.diagnostics import WARN
 from tactile_hand_ros.ros.endpoints import TickFailedError
 from tactile_hand_ros.ros.messages import JointCodec, check_output
 from tactile_hand_ros.ros.node import TactileNode
-from tactile_hand_ros.ros.runner import run_node
 from tactile_hand_ros.ros.ticks import TickInputs
 
 _TICK, _SLOW, _SHORT = 1_000_000, 1e-3, 1e-3  # ns, rad/s and m, of a rehearsal
@@ -401,8 +399,3 @@ class ManipulationControllerNode(TactileNode[ControllerConfig]):
             self.diagnostics.judge("torque", is_full, _AT_LIMIT, WARN)
         self._is_limited = is_full
         return np.clip(torque, -self._limits, self._limits) if is_full else torque
-
-
-def main(args: Sequence[str] | None = None) -> int:
-    """Run the manipulation controller until SIGINT or SIGTERM and return the exit code."""
-    return run_node(ManipulationControllerNode, args)

@@ -46,7 +46,6 @@ from tactile_hand_ros.ros.messages import (
     read_number,
 )
 from tactile_hand_ros.ros.node import TactileNode
-from tactile_hand_ros.ros.runner import run_node
 from tactile_hand_ros.ros.ticks import TickInputs
 
 _HAPTIC_PERIOD_NS = 20_000_000
@@ -309,8 +308,3 @@ class SlipRegulatorNode(TactileNode[SlipRegulatorConfig]):
             ]
             self._haptic_publisher.publish(JoyFeedbackArray(array=rumbles))
             self._strongest = 0.0
-
-
-def main(args: Sequence[str] | None = None) -> int:
-    """Run the slip regulator until SIGINT or SIGTERM and return the exit code."""
-    return run_node(SlipRegulatorNode, args)

@@ -9,7 +9,6 @@ crashes, nodes that wait for touch detect the silence.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -23,7 +22,6 @@ from tactile_hand_ros.nodes.common import ReadingPublisher
 from tactile_hand_ros.ros import streams
 from tactile_hand_ros.ros.messages import Pose
 from tactile_hand_ros.ros.node import TactileNode
-from tactile_hand_ros.ros.runner import run_node
 from tactile_hand_ros.ros.ticks import TickInputs
 from tactile_hand_ros.rotations import quaternion_from_rotation
 from tactile_hand_ros.simulation.skin import TactileReading, TactileSensor, TactileSensorConfig
@@ -109,8 +107,3 @@ class TactileSensorNode(TactileNode[TactileSensorConfig]):
             touch = self._sensor.step(stamp, true, sliding, theta)
             self._publisher.publish(stamp, *touch)
         return touch
-
-
-def main(args: Sequence[str] | None = None) -> int:
-    """Run the tactile sensor until SIGINT or SIGTERM and return the exit code."""
-    return run_node(TactileSensorNode, args)

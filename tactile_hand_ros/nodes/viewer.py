@@ -8,7 +8,7 @@ there are no transforms; the markers need none.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from contextlib import suppress
 from typing import Any
 
@@ -37,7 +37,6 @@ from tactile_hand_ros.ros import qos
 from tactile_hand_ros.ros.endpoints import subscribe_directly, take_latest
 from tactile_hand_ros.ros.messages import ContactsCodec, Pose, PoseCodec, WrenchCodec
 from tactile_hand_ros.ros.node import TactileNode
-from tactile_hand_ros.ros.runner import run_node
 from tactile_hand_ros.simulation.plant_config import ObjectConfig
 
 try:
@@ -177,8 +176,3 @@ class ViewerNode(TactileNode[ViewerConfig]):
 def _place(at: Any, turn: Any, pose: Pose) -> None:
     at.x, at.y, at.z = map(float, pose.position)
     turn.x, turn.y, turn.z, turn.w = map(float, pose.quaternion)
-
-
-def main(args: Sequence[str] | None = None) -> int:
-    """Run the viewer until SIGINT or SIGTERM and return the exit code."""
-    return run_node(ViewerNode, args)

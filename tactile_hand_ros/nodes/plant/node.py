@@ -14,7 +14,7 @@ there are no ticks, and no node answers.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -29,7 +29,6 @@ from tactile_hand_ros.ros import qos
 from tactile_hand_ros.ros.diagnostics import WARN
 from tactile_hand_ros.ros.messages import JointCodec, PushCodec
 from tactile_hand_ros.ros.node import TactileNode
-from tactile_hand_ros.ros.runner import run_node
 from tactile_hand_ros.simulation.plant_config import PlantConfig
 from tactile_hand_ros.simulation.plant_run import PlantRun
 
@@ -134,8 +133,3 @@ class PlantNode(TactileNode[PlantConfig]):
         self._driver.reset()
         response.success, response.message = True, self._driver.mode
         return response
-
-
-def main(args: Sequence[str] | None = None) -> int:
-    """Run the plant until SIGINT or SIGTERM and return the exit code."""
-    return run_node(PlantNode, args)

@@ -19,7 +19,6 @@ from tactile_hand_ros.nodes.recorder.writer_process import WriterProcess
 from tactile_hand_ros.ros.diagnostics import WARN
 from tactile_hand_ros.ros.node import TactileNode, TickPublisher
 from tactile_hand_ros.ros.qos import HEARTBEAT
-from tactile_hand_ros.ros.runner import run_node
 
 _QUEUE_DEPTH = 5000  # messages that a topic's queue holds between two polls
 _VISIT_PERIOD = 0.01  # s between two polls of the subscriptions
@@ -202,8 +201,3 @@ class RecorderNode(TactileNode[RecorderConfig]):
         hashes = [str(p.topic_type_hash) for p in publishers if p.topic_type == type_name]
         offers = [offered_qos(p.qos_profile) for p in publishers]
         return self._writer.add_channel(name, type_name, offers, hashes[0] if hashes else "")
-
-
-def main(args: Sequence[str] | None = None) -> int:
-    """Run the recorder until SIGINT or SIGTERM and return the exit code."""
-    return run_node(RecorderNode, args)
