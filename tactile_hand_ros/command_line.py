@@ -32,7 +32,9 @@ def run_command(program: str, command: Callable[[], Any]) -> int:
     read or written; 128 plus the number of a signal that ended it, such as 130 after Ctrl-C.
     """
     sys.stdout = sys.stdout or open(os.devnull, "w")  # noqa: SIM115
-    _print_any_character()
+    for stream in (sys.stdout, sys.stderr):
+        if hasattr(stream, "reconfigure"):  # print what the terminal cannot encode as escapes
+            stream.reconfigure(errors="backslashreplace")
     try:
         with _ended_by_signals():
             code = command()
@@ -41,7 +43,8 @@ def run_command(program: str, command: Callable[[], Any]) -> int:
         sentence, code = _explained(error)
         if code is None:
             raise
-        _drop_unwritten()  # the terminal or the reader may be gone
+        with _dropped(sys.stdout):  # the terminal or the reader may be gone
+            sys.stdout.flush()
         say(program, sentence)
     return code if isinstance(code, int) else 0
 
@@ -101,11 +104,6 @@ class Signals:
         self._came.put(number)
 
     @property
-    def name(self) -> str:
-        """Name of the first signal."""
-        return signal.Signals(self.number).name if self.number else ""
-
-    @property
     def exit_code(self) -> int:
         """The code that a shell expects after the first signal."""
         return 128 + self.number
@@ -113,7 +111,7 @@ class Signals:
     def check(self) -> None:
         """Raise `Interrupted` if a signal has arrived."""
         if self.number:
-            raise Interrupted(f"ended by {self.name}")
+            raise Interrupted(f"ended by {signal.Signals(self.number).name}")
 
     def wait(self, seconds: float) -> None:
         """Wait for some seconds; raise Interrupted after a signal."""
@@ -217,15 +215,3 @@ def _signal_behind(error: BaseException | None) -> signal.Signals | None:
             return signal.SIGINT
         error = error.__context__
     return None
-
-
-def _print_any_character() -> None:
-    """Write characters that the terminal cannot encode as escapes, instead of failing."""
-    for stream in (sys.stdout, sys.stderr):
-        if hasattr(stream, "reconfigure"):
-            stream.reconfigure(errors="backslashreplace")
-
-
-def _drop_unwritten() -> None:
-    with _dropped(sys.stdout):
-        sys.stdout.flush()
