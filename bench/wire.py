@@ -102,13 +102,13 @@ class Role:
         """
         self.node = Node(name, namespace=_NAMESPACE)
         sent = [link for link in wiring if link.publisher == name]
-        make, profile = self.node.create_publisher, qos.tick_publisher_qos()
-        self._publishers = [make(WrenchStamped, link.topic, profile) for link in sent]
+        make, depth = self.node.create_publisher, qos.PUBLISHED_DEPTH
+        self._publishers = [make(WrenchStamped, link.topic, depth) for link in sent]
         self._readers = [len(link.subscribers) + recorders for link in sent]
         received = [link.topic for link in wiring if name in link.subscribers]
         for topic in received:
-            receive, profile = partial(self._receive, topic), qos.tick_qos()
-            self.node.create_subscription(WrenchStamped, topic, receive, profile, raw=True)
+            receive, depth = partial(self._receive, topic), qos.TICK_DEPTH
+            self.node.create_subscription(WrenchStamped, topic, receive, depth, raw=True)
         self._received, self._first = frozenset(received), received[0]
         self._open: dict[int, set[str]] = {}
         self._tick, self._last, self._began = 0, _WARM + ticks, 0.0

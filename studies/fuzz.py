@@ -115,7 +115,7 @@ def fuzz_nodes(seconds: float, seed: int) -> Report:
         inputs, start = _inputs(hand), hand.positions(hand.events)[1][-1]
         good = {topic: bytes(serialize_message(kind())) for topic, kind in inputs.items()}
         publishers = {
-            topic: hand.node.create_publisher(kind, topic, qos.user_qos())
+            topic: hand.node.create_publisher(kind, topic, qos.USER_DEPTH)
             for topic, kind in inputs.items()
         }
         memory = _memory(hand)

@@ -113,10 +113,10 @@ class RunningHand:
         self.processes[executable] = self._stack.enter_context(process)
 
     def _listen(self) -> None:
-        make, profile = self.node.create_publisher, qos.user_qos()
-        self.poses = make(PoseStamped, names.DESIRED_POSE, profile)
-        self.grasp_forces = make(Float64, names.USER_GRASP_FORCE, profile)
-        make(WrenchStamped, names.PUSH, profile)  # unused, but the plant waits for its user
+        make, depth = self.node.create_publisher, qos.USER_DEPTH
+        self.poses = make(PoseStamped, names.DESIRED_POSE, depth)
+        self.grasp_forces = make(Float64, names.USER_GRASP_FORCE, depth)
+        make(WrenchStamped, names.PUSH, depth)  # unused, but the plant waits for its user
         self._subscribe(PoseStamped, names.OBJECT_POSE)
         self._subscribe(PoseArray, names.TRUE_CONTACTS)
         self._subscribe(PoseStamped, names.AUXILIARY_POSE)
@@ -124,15 +124,15 @@ class RunningHand:
             self._subscribe(WrenchStamped, names.true_wrench(name))
         self._subscribe(JointState, names.JOINT_COMMAND)
         self._subscribe(Bool, names.JOINT_HOLD, qos.latched_qos())
-        self._subscribe(DiagnosticArray, names.DIAGNOSTICS, profile)
+        self._subscribe(DiagnosticArray, names.DIAGNOSTICS, depth)
 
-    def _subscribe(self, kind: Any, topic: str, profile: Any = None) -> None:
+    def _subscribe(self, kind: Any, topic: str, profile: Any = qos.TICK_DEPTH) -> None:
         self._types[topic] = kind
 
         def keep(data: bytes) -> None:
             self.events.append(Received(time.monotonic(), topic, data))
 
-        self.node.create_subscription(kind, topic, keep, profile or qos.tick_qos(), raw=True)
+        self.node.create_subscription(kind, topic, keep, profile, raw=True)
 
     def _await_readiness(self) -> None:
         """Wait until all subscriptions of all nodes are matched."""

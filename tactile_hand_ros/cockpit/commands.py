@@ -66,11 +66,11 @@ class Commands:
     def __init__(self, node: Any) -> None:
         """Create publishers and clients of a `CockpitNode`."""
         self._node = node
-        make, profile = node.create_publisher, qos.user_qos()
-        self._pose = make(PoseStamped, names.DESIRED_POSE, profile)
-        self._force = make(Float64, names.USER_GRASP_FORCE, profile)
-        self._push = make(WrenchStamped, names.PUSH, profile)
-        self._marks = make(String, "marks", profile)
+        make, depth = node.create_publisher, qos.USER_DEPTH
+        self._pose = make(PoseStamped, names.DESIRED_POSE, depth)
+        self._force = make(Float64, names.USER_GRASP_FORCE, depth)
+        self._push = make(WrenchStamped, names.PUSH, depth)
+        self._marks = make(String, "marks", depth)
         self._encode_pose = PoseCodec(nan_allowed=True).encode
         self._encode_push = PushCodec().encode
         self._stopped: set[int] = set()

@@ -94,7 +94,7 @@ class CockpitNode(TactileNode[CockpitConfig]):
         print(f"{LINK}{self._server.link}", flush=True)
 
     def _subscribe(self) -> None:
-        user, latched = qos.user_qos(), qos.latched_qos()
+        user, latched = qos.USER_DEPTH, qos.latched_qos()
         topics = map(names.ticks_of, NODES)
         self._batches = [subscribe_directly(self, UInt8MultiArray, each, user) for each in topics]
         for node in (names.CONTROLLER, names.REGULATOR):

@@ -44,8 +44,8 @@ class DesiredPoses:
         self._last_tick = last_tick
         self._codec = PoseCodec(nan_allowed=True)
         self.fresh: deque[tuple[Target, int]] = deque(maxlen=MAX_WAITING)
-        self._publisher = node.create_publisher(PoseStamped, names.ACCEPTED_POSE, qos.user_qos())
-        node.subscribe(PoseStamped, names.DESIRED_POSE, self.take, profile=qos.user_qos(), raw=True)
+        self._publisher = node.create_publisher(PoseStamped, names.ACCEPTED_POSE, qos.USER_DEPTH)
+        node.subscribe(PoseStamped, names.DESIRED_POSE, self.take, profile=qos.USER_DEPTH, raw=True)
 
     def take(self, data: bytes) -> None:
         """Decode a pose and send it to the controller."""

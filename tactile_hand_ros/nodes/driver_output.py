@@ -13,7 +13,6 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from rclpy.qos import QoSProfile
 from sensor_msgs.msg import JointState
 
 from tactile_hand_ros import names
@@ -60,7 +59,7 @@ class DriverOutputNode(TactileNode[DriverOutputConfig]):
             raise ConfigurationError(f"driver.topic is missing in the hand '{c.hand}'; set it.")
         self._law = DriverOutput(driver, hand)
         kind, self._encode = driver_message(driver, self._law.joints)
-        self._publisher = self.create_publisher(kind, driver.topic, QoSProfile(depth=1))
+        self._publisher = self.create_publisher(kind, driver.topic, 1)
         self._newest, self._theta, self._senders = -1, np.zeros(hand.joints), SenderCheck()
         self._tick = round(1e9 / c.rate)  # ns
         self._angles = JointCodec(hand.joint_names, ("position",), others=True)

@@ -86,8 +86,8 @@ class FoxgloveBridgeNode(TactileNode[FoxgloveBridgeConfig]):
         self._hub, self._listener = self._sdk.Context(), _Client()
         self._offered: dict[str, Any] = {}  # channels by topic, None of an unknown type
         self._shown: dict[str, RawTopic] = {}
-        pose = self.create_publisher(PoseStamped, names.DESIRED_POSE, qos.user_qos())
-        force = self.create_publisher(Float64, names.USER_GRASP_FORCE, qos.user_qos())
+        pose = self.create_publisher(PoseStamped, names.DESIRED_POSE, qos.USER_DEPTH)
+        force = self.create_publisher(Float64, names.USER_GRASP_FORCE, qos.USER_DEPTH)
         self._commands = {each.topic_name: each for each in (pose, force)}
         try:
             self._server = self._sdk.start_server(

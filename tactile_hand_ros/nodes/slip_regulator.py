@@ -185,14 +185,14 @@ class SlipRegulatorNode(TactileNode[SlipRegulatorConfig]):
         self._encode = WrenchCodec(names.PALM_FRAME).encode
         self._publisher = self.tick_publisher(WrenchStamped, names.GRASP_FORCE, self._encode)
         self._haptic_publisher = self.create_publisher(
-            JoyFeedbackArray, names.HAPTIC_FEEDBACK, qos.user_qos()
+            JoyFeedbackArray, names.HAPTIC_FEEDBACK, qos.USER_DEPTH
         )
         self._haptic_period, self._strongest = -1, 0.0
         self._force_publisher = self.create_publisher(
-            WrenchStamped, names.ACCEPTED_FORCE, qos.user_qos()
+            WrenchStamped, names.ACCEPTED_FORCE, qos.USER_DEPTH
         )
         self.subscribe(
-            Float64, names.USER_GRASP_FORCE, self._on_user_force, profile=qos.user_qos(), raw=True
+            Float64, names.USER_GRASP_FORCE, self._on_user_force, profile=qos.USER_DEPTH, raw=True
         )
         self.create_service(Trigger, names.RESET, self._on_reset)
         if not composed:

@@ -49,7 +49,7 @@ class AppliedChanges:
         )
         if commands:
             self._requests, self._rejected = (
-                node.create_publisher(DiagnosticArray, topic, qos.user_qos())
+                node.create_publisher(DiagnosticArray, topic, qos.USER_DEPTH)
                 for topic in (names.accepted_requests(name), names.rejected(name))
             )
         self._states: dict[str, bool | str] = {}

@@ -92,12 +92,12 @@ class ViewerNode(TactileNode[ViewerConfig]):
         codec = WrenchCodec("", any_frame=True, normal_allowed=True)
         for finger in self._fingers:
             self._subscribe(names.wrench(finger), WrenchStamped, codec.decode)
-        self._markers = self.create_publisher(MarkerArray, "markers", qos.user_qos())
+        self._markers = self.create_publisher(MarkerArray, "markers", qos.USER_DEPTH)
         self._tf = None
         if TFMessage is None:
             self.diagnostics.value("tf", "tf2_msgs is not installed")
         else:
-            self._tf = self.create_publisher(TFMessage, "/tf", qos.user_qos())
+            self._tf = self.create_publisher(TFMessage, "/tf", qos.USER_DEPTH)
         self.create_timer(1.0 / self.config.rate, self.show)
 
     def _subscribe(self, topic: str, kind: Any, decode: Callable[[bytes], Any]) -> None:

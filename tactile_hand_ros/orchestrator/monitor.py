@@ -10,7 +10,6 @@ from typing import IO, Any
 
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.node import Node
-from rclpy.qos import QoSProfile
 from rclpy.serialization import deserialize_message
 from rich.console import Console
 from sensor_msgs.msg import JointState
@@ -37,12 +36,8 @@ class Monitor:
     def __init__(self, node: Node, *, closely: bool) -> None:
         """Subscribe outside the node's executor; `closely` follows every tick, to send commands."""
         self._prefix = node.get_namespace().rstrip("/")
-        self._diagnostics = subscribe_directly(
-            node, DiagnosticArray, names.DIAGNOSTICS, QoSProfile(depth=100)
-        )
-        self._commands = closely and subscribe_directly(
-            node, JointState, names.JOINT_COMMAND, QoSProfile(depth=1)
-        )
+        self._diagnostics = subscribe_directly(node, DiagnosticArray, names.DIAGNOSTICS, 100)
+        self._commands = closely and subscribe_directly(node, JointState, names.JOINT_COMMAND, 1)
         self._status: dict[str, tuple[bytes, str]] = {}
         self._facts: dict[str, dict[str, str]] = {}
         self.tick = -1

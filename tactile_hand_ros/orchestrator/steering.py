@@ -15,7 +15,6 @@ from rclpy.duration import Duration
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.publisher import Publisher
-from rclpy.qos import QoSProfile
 from rclpy.serialization import deserialize_message
 from std_msgs.msg import Float64
 from std_srvs.srv import SetBool, Trigger
@@ -55,9 +54,8 @@ class Steering:
         self._waiting = sorted(scenario.user_forces, key=lambda request: request.time)
         # A queue of one is full with each message. Only then does Fast DDS request the
         # acknowledgment immediately; otherwise it does so every 3 s.
-        profile = QoSProfile(depth=1)
-        self._poses = node.create_publisher(PoseStamped, names.DESIRED_POSE, profile)
-        self._forces = node.create_publisher(Float64, names.USER_GRASP_FORCE, profile)
+        self._poses = node.create_publisher(PoseStamped, names.DESIRED_POSE, 1)
+        self._forces = node.create_publisher(Float64, names.USER_GRASP_FORCE, 1)
         self._client = node.create_client(SetBool, f"{names.PLANT}/run")
         self._executor = SingleThreadedExecutor(context=node.context)
         self._executor.add_node(node)
@@ -226,11 +224,11 @@ class HandClient:
         taken: list[Any] = []
         refused: list[DiagnosticArray] = []
         kind, name, is_ours = accepted
-        publisher = self._node.create_publisher(type(message), topic, qos.user_qos())
+        publisher = self._node.create_publisher(type(message), topic, qos.USER_DEPTH)
         hear = self._node.create_subscription
         answers = [
-            hear(kind, name, lambda m: taken.append(m) if is_ours(m) else None, qos.user_qos()),
-            hear(DiagnosticArray, names.rejected(node), refused.append, qos.user_qos()),
+            hear(kind, name, lambda m: taken.append(m) if is_ours(m) else None, qos.USER_DEPTH),
+            hear(DiagnosticArray, names.rejected(node), refused.append, qos.USER_DEPTH),
         ]
         self._wait(
             lambda: (

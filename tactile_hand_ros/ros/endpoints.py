@@ -70,7 +70,9 @@ class DirectTakeGroup(CallbackGroup):
         return False
 
 
-def subscribe_directly(node: Node, kind: Any, topic: str, profile: QoSProfile) -> Subscription:
+def subscribe_directly(
+    node: Node, kind: Any, topic: str, profile: QoSProfile | int
+) -> Subscription:
     """Subscribe to serialized messages that are read only with `taken` or `take_latest`."""
     # No executor would take an event, so each event would wake it again and again.
     none = SubscriptionEventCallbacks(use_default_callbacks=False)

@@ -64,7 +64,7 @@ class TickPublisher:
     def __init__(self, node: Node, kind: Any, topic: str, encode: Callable[..., bytes]) -> None:
         """Create the publisher; `encode` serializes the arguments of `publish`."""
         self._encode = encode
-        self._publisher = node.create_publisher(kind, topic, qos.tick_publisher_qos())
+        self._publisher = node.create_publisher(kind, topic, qos.PUBLISHED_DEPTH)
         self.kind = kind
         self.topic: str = self._publisher.topic_name
         self.taps: list[Callable[[bytes], None]] = []
@@ -127,7 +127,7 @@ class TactileNode(Node, Generic[C]):
         self.diagnostics = Diagnostics(self.get_fully_qualified_name())
         self.tick_publishers: list[TickPublisher] = []
         self._diagnostics_publisher = self.create_publisher(
-            DiagnosticArray, names.DIAGNOSTICS, qos.user_qos()
+            DiagnosticArray, names.DIAGNOSTICS, qos.USER_DEPTH
         )
         self.create_timer(DIAGNOSTICS_PERIOD, self.publish_diagnostics)
         self._peers: dict[str, int] = {}
@@ -228,7 +228,7 @@ class TactileNode(Node, Generic[C]):
         topic: str,
         callback: Callable[..., None],
         *,
-        profile: QoSProfile | None = None,
+        profile: QoSProfile | int = qos.TICK_DEPTH,
         sensor: bool = False,
         raw: bool = False,
     ) -> Subscription:
@@ -240,9 +240,8 @@ class TactileNode(Node, Generic[C]):
         ``qos_overrides.<full topic>.subscription.reliability``.
         """
         options = QoSOverridingOptions.with_default_policies() if sensor else None
-        own = profile or qos.tick_qos()
         return self.create_subscription(
-            message_type, topic, callback, own, qos_overriding_options=options, raw=raw
+            message_type, topic, callback, profile, qos_overriding_options=options, raw=raw
         )
 
     def create_subscription(

@@ -39,7 +39,7 @@ class TickRelay:
         self._prefix = node.get_namespace().rstrip("/") + "/"
         self._sources = publishers
         topic = names.ticks_of(node.get_name())
-        self._publisher = node.create_publisher(UInt8MultiArray, topic, qos.user_qos())
+        self._publisher = node.create_publisher(UInt8MultiArray, topic, qos.USER_DEPTH)
         self._waiting: dict[str, bytearray] = {}
         self._taps: list[tuple[Any, Callable[[bytes], None]]] = []
         node.create_timer(PERIOD, self._on_timer)

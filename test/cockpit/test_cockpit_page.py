@@ -225,10 +225,8 @@ def test_a_tab_with_a_broken_link_cannot_move_the_hand_as_its_user_means(
     page: Page, hand: tuple[Graph, str]
 ) -> None:
     heard: list[float] = []
-    node, profile = hand[0].node, qos.user_qos()
-    node.create_subscription(
-        Float64, names.USER_GRASP_FORCE, lambda message: heard.append(message.data), profile
-    )
+    node, topic = hand[0].node, names.USER_GRASP_FORCE
+    node.create_subscription(Float64, topic, lambda m: heard.append(m.data), qos.USER_DEPTH)
     choose(page, "link of this tab", "silent")
     assert "nothing was sent" in ask(page, {"do": "force", "value": 9.0})["text"]
     choose(page, "link of this tab", "wrong")

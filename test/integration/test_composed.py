@@ -13,7 +13,7 @@ from bench.processes import parameter_files
 from tactile_hand_ros import names
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
 from tactile_hand_ros.nodes import composed
-from tactile_hand_ros.ros.qos import tick_qos
+from tactile_hand_ros.ros.qos import TICK_DEPTH
 from tactile_hand_ros.scenario.scenario import Scenario, load_scenario
 
 TICKS = 60
@@ -90,7 +90,7 @@ def test_the_controllers_of_a_real_hand_answer_joints_and_touch(tmp_path, here):
     sent = tapped(nodes["manipulation_controller"])[names.JOINT_COMMAND]
     kinds = {names.JOINT_STATES: JointState, names.CONTACTS: PoseArray}
     kinds |= dict.fromkeys(map(names.wrench, run.finger_names), WrenchStamped)
-    drivers = [here.user.create_publisher(kinds[topic], topic, tick_qos()) for topic in kinds]
+    drivers = [here.user.create_publisher(kinds[topic], topic, TICK_DEPTH) for topic in kinds]
     for each in drivers:
         here.wait(lambda each=each: each.get_subscription_count() == 1, each.topic_name)
     for row, stamp in enumerate(run.stamps):

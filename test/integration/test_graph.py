@@ -123,7 +123,7 @@ def test_two_hands_in_one_domain_do_not_disturb_each_other(domain, tmp_path):
         start_executable("viewer", "--ros-args", "-r", "__ns:=/left") as viewer,
     ):
         shown: list[MarkerArray] = []
-        one.node.create_subscription(MarkerArray, "/left/markers", shown.append, qos.user_qos())
+        one.node.create_subscription(MarkerArray, "/left/markers", shown.append, qos.USER_DEPTH)
         for name in (names.OBJECT_POSE, names.CONTACTS):
             one.wait(lambda n=name: one.hears("viewer", n), f"the viewer on {name}")
         for graph in (one, other):

@@ -36,7 +36,7 @@ def test_a_killed_controller_in_real_time_costs_no_object(domain, tmp_path):
         told, known = list[Bool](), list[DiagnosticArray]()
         requests, hear = names.accepted_requests(names.CONTROLLER), graph.node.create_subscription
         hear(Bool, names.JOINT_HOLD, told.append, qos.latched_qos())
-        hear(DiagnosticArray, requests, known.append, qos.user_qos())
+        hear(DiagnosticArray, requests, known.append, qos.USER_DEPTH)
         graph.begin(P_D)
         start = graph.position()
         graph.wait(lambda: np.linalg.norm(graph.position() - start) > 0.02, "the motion")

@@ -50,9 +50,9 @@ class ServoGraph(Graph):
         self.hand = Hand.load("ability")
         self.states = JointState()
         make = self.node.create_subscription
-        make(JointState, names.JOINT_STATES, self._on_states, qos.tick_qos())
-        make(JointState, "goals", self._on_goal, qos.tick_qos())
-        self.torques = self.node.create_publisher(JointState, names.JOINT_COMMAND, qos.tick_qos())
+        make(JointState, names.JOINT_STATES, self._on_states, qos.TICK_DEPTH)
+        make(JointState, "goals", self._on_goal, qos.TICK_DEPTH)
+        self.torques = self.node.create_publisher(JointState, names.JOINT_COMMAND, qos.TICK_DEPTH)
 
     def _on_states(self, message):
         self.states = message
@@ -80,8 +80,8 @@ def test_position_servos_keep_the_object_by_normal_forces_also_without_a_control
     with isolated_domain() as domain, ServoGraph(scenario, domain, tmp_path) as graph:
         refusals, thumb = list[DiagnosticArray](), list[WrenchStamped]()
         hear = graph.node.create_subscription
-        hear(DiagnosticArray, names.rejected(names.CONTROLLER), refusals.append, qos.user_qos())
-        hear(WrenchStamped, names.wrench("thumb"), thumb.append, qos.tick_qos())
+        hear(DiagnosticArray, names.rejected(names.CONTROLLER), refusals.append, qos.USER_DEPTH)
+        hear(WrenchStamped, names.wrench("thumb"), thumb.append, qos.TICK_DEPTH)
         graph.begin()
         graph.wait(lambda: graph.time > 1.5, "the pull")
         force = thumb[-1].wrench.force

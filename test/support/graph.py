@@ -127,10 +127,10 @@ class Graph:
         return f"{self.namespace}/{name}"
 
     def _talk(self) -> None:
-        make, profile = self.node.create_publisher, qos.user_qos()
-        self.poses = make(PoseStamped, names.DESIRED_POSE, profile)
-        make(Float64, names.USER_GRASP_FORCE, profile)
-        make(WrenchStamped, names.PUSH, profile)
+        make, depth = self.node.create_publisher, qos.USER_DEPTH
+        self.poses = make(PoseStamped, names.DESIRED_POSE, depth)
+        make(Float64, names.USER_GRASP_FORCE, depth)
+        make(WrenchStamped, names.PUSH, depth)
         self.node.create_subscription(DiagnosticArray, "/diagnostics", self._on_health, 100)
         self._watch(JointState, names.JOINT_STATES)
         self._watch(PoseStamped, names.OBJECT_POSE)
@@ -148,7 +148,7 @@ class Graph:
         def keep(data: bytes) -> None:
             self._newest[topic] = data
 
-        self.node.create_subscription(kind, topic, keep, qos.tick_qos(), raw=True)
+        self.node.create_subscription(kind, topic, keep, qos.TICK_DEPTH, raw=True)
 
     def _on_health(self, message: DiagnosticArray) -> None:
         for status in message.status:

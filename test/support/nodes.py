@@ -49,9 +49,9 @@ class Process:
 
         return wait_until(served, 60.0, message)
 
-    def receive(self, kind: Any, topic: str, profile: Any = None) -> list[Any]:
+    def receive(self, kind: Any, topic: str, profile: Any = qos.USER_DEPTH) -> list[Any]:
         """Subscribe and return the list that will hold the messages, see `messages`."""
-        subscription = subscribe_directly(self.user, kind, topic, profile or qos.user_qos())
+        subscription = subscribe_directly(self.user, kind, topic, profile)
         found: list[Any] = []
         self._received[topic] = subscription, found
         self.wait(lambda: subscription.get_publisher_count() > 0, topic)
@@ -69,9 +69,9 @@ class Process:
         self.wait(enough, f"{count} of {topic}, got {len(found)}")
         return found
 
-    def send(self, topic: str, message: Any, profile: Any = None) -> None:
+    def send(self, topic: str, message: Any, profile: Any = qos.USER_DEPTH) -> None:
         """Publish a message once there are subscribers."""
-        publisher = self.user.create_publisher(type(message), topic, profile or qos.user_qos())
+        publisher = self.user.create_publisher(type(message), topic, profile)
         self.wait(lambda: publisher.get_subscription_count() > 0, topic)
         publisher.publish(message)
 

@@ -66,7 +66,7 @@ class PlantNode(TactileNode[PlantConfig]):
         self._run = PlantRun(self.config)
         self._driver = PlantDriver(self, self._run)
         self._decode_push = PushCodec().decode
-        self.subscribe(WrenchStamped, names.PUSH, self._on_push, profile=qos.user_qos(), raw=True)
+        self.subscribe(WrenchStamped, names.PUSH, self._on_push, profile=qos.USER_DEPTH, raw=True)
         self.create_service(Trigger, names.RESET, self._on_reset)
         self.create_service(SetBool, names.RUN, self._on_run)
         self.create_service(Trigger, names.STEP, self._on_step)

@@ -20,7 +20,7 @@ from tactile_hand_ros.errors import ConfigurationError, TactileHandError
 from tactile_hand_ros.nodes import driver_output
 from tactile_hand_ros.nodes.driver_output import DriverOutputNode, driver_message
 from tactile_hand_ros.ros.endpoints import subscribe_directly, taken
-from tactile_hand_ros.ros.qos import tick_qos
+from tactile_hand_ros.ros.qos import TICK_DEPTH
 
 STORE, DIGITS = get_typestore(Stores.ROS2_JAZZY), "ah_messages/msg/Digits"
 FLOATS = "std_msgs/msg/Float32MultiArray"
@@ -38,11 +38,11 @@ class Driver:
         values = [Parameter("hand", value=path), Parameter("rate", value=rate)]
         self.node = DriverOutputNode(context=here.context, parameter_overrides=values)
         here.add(self.node)
-        self.here, self.sent, user, qos = here, 0, here.user, tick_qos()
+        self.here, self.sent, user, depth = here, 0, here.user, TICK_DEPTH
         self.name = f"{kind.__module__.split('.')[0]}/msg/{kind.__name__}"
-        self.end = subscribe_directly(user, kind, "command", qos)
-        self.joints = user.create_publisher(JointState, "joint_states", qos)
-        self.senders = [user.create_publisher(JointState, "joint_command", qos) for _ in "ab"]
+        self.end = subscribe_directly(user, kind, "command", depth)
+        self.joints = user.create_publisher(JointState, "joint_states", depth)
+        self.senders = [user.create_publisher(JointState, "joint_command", depth) for _ in "ab"]
         here.wait(self.end.get_publisher_count, "the output")
         for each in (self.joints, *self.senders):
             here.wait(each.get_subscription_count, each.topic_name)

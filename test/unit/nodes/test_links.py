@@ -4,13 +4,14 @@
 from typing import Any
 
 import pytest
+from rclpy.qos import QoSProfile
 
 from bench.wire import each_tick
 from tactile_hand_ros import names
 from tactile_hand_ros.config.model import Config, flatten, leaves
 from tactile_hand_ros.nodes.composed import MEMBERS
 from tactile_hand_ros.ros.parameters import to_ros
-from tactile_hand_ros.ros.qos import tick_publisher_qos
+from tactile_hand_ros.ros.qos import PUBLISHED_DEPTH
 from tactile_hand_ros.scenario.scenario import load_scenario
 
 FINGERS = ("finger_1", "finger_2", "finger_3")
@@ -49,7 +50,7 @@ def parameters(config: Config) -> dict[str, Any]:
 )
 def test_a_node_subscribes_to_what_it_is_configured_to_use(scenario, changes, more, here):
     wanted = load_scenario(scenario, {**changes, "plant.autostart": False})
-    each_tick_qos = tick_publisher_qos()
+    each_tick_qos = QoSProfile(depth=PUBLISHED_DEPTH)
     for kind in MEMBERS:
         name = _name(kind)
         node = here.make(kind, composed=False, **parameters(getattr(wanted, name)))

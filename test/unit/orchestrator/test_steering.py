@@ -45,7 +45,7 @@ class Hand:
         self.poses: list[PoseStamped] = []
         self.forces: list[float] = []
         self.calls: list[tuple[str, Any]] = []
-        make, user = node.create_publisher, qos.user_qos()
+        make, user = node.create_publisher, qos.USER_DEPTH
         self._answers = {
             names.DESIRED_POSE: make(PoseStamped, names.ACCEPTED_POSE, user),
             names.USER_GRASP_FORCE: make(WrenchStamped, names.ACCEPTED_FORCE, user),
@@ -111,7 +111,7 @@ def served(context: Context) -> Iterator[dict[str, Hand]]:
         Node("driver", context=context, namespace="/real"),
     ]
     for sender in senders:
-        sender.create_publisher(JointState, names.JOINT_STATES, qos.tick_qos())
+        sender.create_publisher(JointState, names.JOINT_STATES, qos.TICK_DEPTH)
     with spinning(*(hand.node for hand in hands.values())):
         yield hands
     for node in (*senders, *(hand.node for hand in hands.values())):
@@ -216,7 +216,7 @@ def test_nothing_is_reset_before_the_controller_is_there_and_the_sender_of_joint
         with pytest.raises(SteeringError, match="joint_states has no publisher"):
             HandClient(node, 3.0).reset()
         assert called == []
-        make(names.PLANT).create_publisher(JointState, names.JOINT_STATES, qos.tick_qos())
+        make(names.PLANT).create_publisher(JointState, names.JOINT_STATES, qos.TICK_DEPTH)
         HandClient(node, 30.0).reset()
         assert called == [names.PLANT]
 
@@ -245,8 +245,8 @@ def make(there: Context) -> Iterator[Callable[[str], Node]]:
 
 def test_targets_and_the_newest_force_that_is_due_arrive(make):
     hand, heard, forces = make("hand"), list[Any](), list[Float64]()
-    hand.create_subscription(PoseStamped, "desired_pose", heard.append, qos.user_qos())
-    hand.create_subscription(Float64, "user_grasp_force", forces.append, qos.user_qos())
+    hand.create_subscription(PoseStamped, "desired_pose", heard.append, qos.USER_DEPTH)
+    hand.create_subscription(Float64, "user_grasp_force", forces.append, qos.USER_DEPTH)
     steering = Steering(make("orchestrator"), SCENARIO, lambda: None)
     assert not steering.is_ready
     wait_until(lambda: list(steering.facts.values()) == ["1", "1"])

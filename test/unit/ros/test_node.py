@@ -223,7 +223,7 @@ def test_a_subscription_has_the_quality_of_service_of_ticks_or_its_own(node):
     made = node.subscribe(Float64, "a", print, profile=QoSProfile(depth=7), raw=True)
     assert made.qos_profile.depth == 7 and made.raw
     plain, sensor = (node.subscribe(Float64, n, print, sensor=n == "s") for n in ("p", "s"))
-    assert plain.qos_profile.depth == qos.tick_qos().depth and not plain.raw
+    assert plain.qos_profile.depth == qos.TICK_DEPTH and not plain.raw
     known = set(node.get_parameters_by_prefix("qos_overrides"))
     assert any("/left/s." in name for name in known)
     assert not any("/left/p." in name for name in known)
@@ -237,22 +237,23 @@ def test_a_sensor_subscription_may_be_made_best_effort(here):
     best_effort = QoSProfile(depth=5, reliability=ReliabilityPolicy.BEST_EFFORT)
     here.send("/left/x", Float64(data=1.0), best_effort)
     here.wait(lambda: node.got == [1.0], "the message")
-    assert qos.tick_qos().reliability == ReliabilityPolicy.RELIABLE
+    other = node.subscribe(Float64, "other", print)
+    assert other.qos_profile.reliability == ReliabilityPolicy.RELIABLE
 
 
 @pytest.mark.parametrize(
     ("make", "depth", "durability"),
     [
-        (qos.tick_qos, 100, DurabilityPolicy.VOLATILE),
-        (qos.tick_publisher_qos, 3000, DurabilityPolicy.VOLATILE),
+        (lambda: qos.TICK_DEPTH, 100, DurabilityPolicy.VOLATILE),
+        (lambda: qos.PUBLISHED_DEPTH, 3000, DurabilityPolicy.VOLATILE),
         (qos.latched_qos, 1, DurabilityPolicy.TRANSIENT_LOCAL),
-        (qos.user_qos, 100, DurabilityPolicy.VOLATILE),
+        (lambda: qos.USER_DEPTH, 100, DurabilityPolicy.VOLATILE),
     ],
 )
-def test_profiles_are_as_the_documentation_says_and_new_each_time(make, depth, durability):
-    profile = make()
+def test_profiles_are_as_the_documentation_says_and_new_each_time(node, make, depth, durability):
+    profile = node.subscribe(Float64, "a", print, profile=make()).qos_profile
     assert profile.reliability == ReliabilityPolicy.RELIABLE
     assert profile.history == HistoryPolicy.KEEP_LAST
     assert (profile.depth, profile.durability) == (depth, durability)
     profile.depth = 7  # rclpy writes into it, too
-    assert make().depth == depth
+    assert node.subscribe(Float64, "b", print, profile=make()).qos_profile.depth == depth

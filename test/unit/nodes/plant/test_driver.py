@@ -37,13 +37,13 @@ class Rig:
         self.here, self.clock = here, clock
         self.node = here.make(PlantNode, composed=False, **parameters)
         for kind, topic, profile in (
-            (JointState, names.JOINT_STATES, qos.tick_qos()),
+            (JointState, names.JOINT_STATES, qos.TICK_DEPTH),
             (Bool, names.JOINT_HOLD, qos.latched_qos(10)),
-            (DiagnosticArray, names.DIAGNOSTICS, qos.user_qos()),
+            (DiagnosticArray, names.DIAGNOSTICS, qos.USER_DEPTH),
         ):
             here.receive(kind, topic, profile)
         make = here.user.create_publisher
-        self._senders = [make(JointState, names.JOINT_COMMAND, qos.tick_qos()) for _ in "ab"]
+        self._senders = [make(JointState, names.JOINT_COMMAND, qos.TICK_DEPTH) for _ in "ab"]
         here.wait(lambda: self.node.peers()["subscriptions /joint_command"] == 2, "commands")
         for topic in ("joint_states", "joint_hold"):
             here.wait(lambda t=topic: self.node.peers()[f"publications /{t}"] == 1, topic)
