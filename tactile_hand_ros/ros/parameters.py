@@ -61,13 +61,10 @@ class ConfigParameters(Generic[C]):
         on_change: Callable[[C], None] = lambda _: None,
         check: Callable[[C], None] = lambda _: None,
     ) -> None:
-        """Declare every field of the model with its initial value.
+        """Declare every field of the model, a configuration class, with its initial value.
 
-        Args:
-            node: The node.
-            model: The configuration class.
-            on_change: Called with the new configuration after each accepted change.
-            check: Called with the new configuration before; may raise TactileHandError.
+        Each change calls `check` with the new configuration before it is accepted, which may raise
+        TactileHandError, and `on_change` after.
 
         Raises:
             ConfigurationError: If a given value is rejected or no field has the given name.
@@ -184,14 +181,10 @@ def from_ros(field: FieldInfo, value: Any, place: str = "") -> Any:
     return items
 
 
-def to_ros(field: FieldInfo, value: Any) -> Any:
+def to_ros(value: Any) -> Any:
     """Convert the value of a field to the value of a ROS parameter."""
-    if is_sequence(field.annotation):
-        return [_scalar_to_ros(item) for item in value]
-    return _scalar_to_ros(value)
-
-
-def _scalar_to_ros(value: Any) -> Any:
+    if isinstance(value, (list, tuple)):
+        return [to_ros(item) for item in value]
     if isinstance(value, Config):
         data = value.model_dump(mode="json")
         return yaml.safe_dump(data, default_flow_style=True, sort_keys=False, width=10**9).strip()
@@ -200,7 +193,7 @@ def _scalar_to_ros(value: Any) -> Any:
 
 def to_parameter(name: str, field: FieldInfo, value: Any) -> Parameter:
     """Return a field's value as a ROS parameter of the field's type."""
-    return Parameter(name, ros_type(field), to_ros(field, value))
+    return Parameter(name, ros_type(field), to_ros(value))
 
 
 def to_parameters(config: Config) -> list[ParameterMessage]:
@@ -225,10 +218,9 @@ def descriptor(field: FieldInfo, *, read_only: bool = False) -> ParameterDescrip
 
 def to_params_yaml(config: Config, node_name: str) -> str:
     """Return a configuration as text for ``--params-file``, for a node in any namespace."""
-    fields = leaves(type(config))
     # JSON, one line per value: rcl does not read unquoted words such as y or 1e3 as strings.
     lines = [
-        f"    {name}: {json.dumps(to_ros(fields[name], value), ensure_ascii=False)}\n"
+        f"    {name}: {json.dumps(to_ros(value), ensure_ascii=False)}\n"
         for name, value in flatten(config).items()
     ]
     return f"/**/{node_name}:\n  ros__parameters:\n{''.join(lines)}"

@@ -8,7 +8,7 @@ from rclpy.qos import QoSProfile
 
 from bench.wire import each_tick
 from tactile_hand_ros import names
-from tactile_hand_ros.config.model import Config, flatten, leaves
+from tactile_hand_ros.config.model import Config, flatten
 from tactile_hand_ros.nodes.composed import MEMBERS
 from tactile_hand_ros.ros.parameters import to_ros
 from tactile_hand_ros.ros.qos import PUBLISHED_DEPTH
@@ -24,8 +24,7 @@ ASKED = {
 
 
 def parameters(config: Config) -> dict[str, Any]:
-    fields = leaves(type(config))
-    values = {name: to_ros(fields[name], value) for name, value in flatten(config).items()}
+    values = {name: to_ros(value) for name, value in flatten(config).items()}
     return {name: value for name, value in values.items() if value != []}  # of no type
 
 
