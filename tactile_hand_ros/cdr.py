@@ -38,20 +38,6 @@ _DOUBLE = np.dtype("<f8")
 _SECOND = 1_000_000_000
 
 
-def to_nanoseconds(seconds: int, nanoseconds: int) -> int:
-    """Return a timestamp of seconds and nanoseconds in nanoseconds.
-
-    Raises:
-        MessageError: If seconds are negative or nanoseconds are not below one second.
-    """
-    if seconds < 0 or not 0 <= nanoseconds < _SECOND:
-        raise MessageError(
-            f"the stamp is {seconds} s and {nanoseconds} ns, expected seconds >= 0 and 0 to "
-            f"{_SECOND - 1} ns."
-        )
-    return seconds * _SECOND + nanoseconds
-
-
 def header_stamp(data: bytes) -> int:
     """Return the timestamp [ns] of a serialized message that starts with a header.
 
@@ -60,7 +46,13 @@ def header_stamp(data: bytes) -> int:
     """
     if len(data) < _AFTER_STAMP or data[:2] != ENCODING:
         raise MessageError(f"{len(data)} bytes, expected a message that starts with a stamp.")
-    return to_nanoseconds(*_STAMP.unpack_from(data, _ORIGIN))
+    seconds, nanoseconds = _STAMP.unpack_from(data, _ORIGIN)
+    if seconds < 0 or nanoseconds >= _SECOND:
+        raise MessageError(
+            f"the stamp is {seconds} s and {nanoseconds} ns, expected seconds >= 0 and 0 to "
+            f"{_SECOND - 1} ns."
+        )
+    return int(seconds * _SECOND + nanoseconds)
 
 
 def packed(messages: Iterable[bytes]) -> bytes:

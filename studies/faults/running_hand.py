@@ -27,12 +27,13 @@ from bench.processes import (
     start_executable,
 )
 from tactile_hand_ros import names
+from tactile_hand_ros.cdr import header_stamp
 from tactile_hand_ros.compiled import Array
 from tactile_hand_ros.config.hand_config import load_hand_config
 from tactile_hand_ros.ros import qos
 from tactile_hand_ros.ros.diagnostics import ERROR
 from tactile_hand_ros.ros.executor import WaitSetExecutor
-from tactile_hand_ros.ros.messages import ContactsCodec, PoseCodec, WrenchCodec, stamp_to_ns
+from tactile_hand_ros.ros.messages import ContactsCodec, PoseCodec, WrenchCodec
 from tactile_hand_ros.ros.middleware import ros_context
 from tactile_hand_ros.ros.node import SUBSCRIPTIONS
 from tactile_hand_ros.ros.processes import wait_until
@@ -198,13 +199,10 @@ class RunningHand:
 
         def first_tick() -> Received | None:
             poses = (event for event in self.events if event.topic == names.OBJECT_POSE)
-            return next((pose for pose in poses if self._stamp(pose) == 0), None)
+            return next((pose for pose in poses if header_stamp(pose.data) == 0), None)
 
         first = wait_until(first_tick, PATIENCE, "the first tick")
         del self.events[: self.events.index(first)]
-
-    def _stamp(self, event: Received) -> int:
-        return stamp_to_ns(self.read(event).header.stamp)
 
     def wait_for_time(self, seconds: float, limit: float = PATIENCE) -> None:
         """Wait until a simulated time [s], at most for a limit [s]."""
@@ -213,7 +211,7 @@ class RunningHand:
         def is_there() -> bool:
             for event in reversed(self.events):
                 if event.topic == names.OBJECT_POSE:
-                    return self._stamp(event) >= due
+                    return header_stamp(event.data) >= due
             return False
 
         wait_until(is_there, limit, f"t = {seconds:g} s")

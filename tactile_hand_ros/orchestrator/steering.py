@@ -16,6 +16,7 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.serialization import deserialize_message
+from rclpy.time import Time
 from std_msgs.msg import Float64
 from std_srvs.srv import SetBool, Trigger
 
@@ -23,7 +24,7 @@ from tactile_hand_ros import names
 from tactile_hand_ros.compiled import Array
 from tactile_hand_ros.errors import ConfigurationError, TactileHandError
 from tactile_hand_ros.ros import qos
-from tactile_hand_ros.ros.messages import PoseCodec, stamp_to_ns
+from tactile_hand_ros.ros.messages import PoseCodec
 from tactile_hand_ros.ros.node import PUBLICATIONS
 from tactile_hand_ros.rotations import (
     quaternion_from_rotation,
@@ -173,7 +174,8 @@ class HandClient:
         taken = self._send(wanted, names.CONTROLLER, names.DESIRED_POSE, accepted)
         q = taken.pose.orientation
         orientation = rotation_from_quaternion([q.x, q.y, q.z, q.w])
-        return 1e-9 * stamp_to_ns(taken.header.stamp), vector_from_rotation(orientation)
+        effective = 1e-9 * Time.from_msg(taken.header.stamp).nanoseconds
+        return effective, vector_from_rotation(orientation)
 
     def grasp_force(self, force: float) -> float:
         """Request a grasp force k_f [N]; return the simulated time at which it takes effect [s].
@@ -184,7 +186,7 @@ class HandClient:
         accepted = (WrenchStamped, names.ACCEPTED_FORCE, lambda m: m.wrench.force.y == force)
         message = Float64(data=force)
         taken = self._send(message, names.REGULATOR, names.USER_GRASP_FORCE, accepted)
-        return 1e-9 * stamp_to_ns(taken.header.stamp)
+        return 1e-9 * float(Time.from_msg(taken.header.stamp).nanoseconds)
 
     def grasp(self, close: bool) -> str:
         """Close the fingers until all touch, or open them; return the answer.

@@ -22,11 +22,10 @@ from contextlib import suppress
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from builtin_interfaces.msg import Time
 from geometry_msgs.msg import WrenchStamped
 from numpy.typing import NDArray
 
-from tactile_hand_ros.cdr import ENCODING, CdrTemplate, Content, ContentReader, to_nanoseconds
+from tactile_hand_ros.cdr import ENCODING, CdrTemplate, Content, ContentReader
 from tactile_hand_ros.compiled import Array
 from tactile_hand_ros.config.explanation import did_you_mean
 from tactile_hand_ros.control.contact import Contacts
@@ -58,15 +57,6 @@ class Pose(NamedTuple):
 
     position: Array
     quaternion: Array
-
-
-def stamp_to_ns(stamp: Time) -> int:
-    """Return a message timestamp in nanoseconds.
-
-    Raises:
-        MessageError: If it is not a valid time.
-    """
-    return to_nanoseconds(int(stamp.sec), int(stamp.nanosec))
 
 
 def all_usable(values: Array) -> bool:

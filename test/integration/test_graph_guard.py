@@ -7,11 +7,11 @@ import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
 from std_msgs.msg import Bool
 from support.graph import Graph
+from support.messages import stamp_to_ns
 
 from tactile_hand_ros import names
 from tactile_hand_ros.ros import qos
 from tactile_hand_ros.ros.diagnostics import ERROR
-from tactile_hand_ros.ros.messages import stamp_to_ns
 from tactile_hand_ros.scenario.scenario import load_scenario
 
 SCENARIO = load_scenario(

@@ -9,14 +9,13 @@ from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import WrenchStamped
 from sensor_msgs.msg import JointState
 from support.graph import Graph
-from support.messages import joint_message
+from support.messages import joint_message, stamp_to_ns
 
 from bench.processes import isolated_domain, parameter_files
 from tactile_hand_ros import names
 from tactile_hand_ros.config.plain_yaml import find_file
 from tactile_hand_ros.hand.hand import Hand
 from tactile_hand_ros.ros import qos
-from tactile_hand_ros.ros.messages import stamp_to_ns
 from tactile_hand_ros.scenario.scenario import load_scenario
 
 STIFFNESS, DAMPING = 2.0, 0.006  # N m/rad, N m s/rad

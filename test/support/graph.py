@@ -24,13 +24,12 @@ from std_srvs.srv import SetBool, Trigger
 
 from bench.processes import CapturedProcess, parameter_files, start_executable
 from bench.wire import each_tick
-from support.messages import pose_message
+from support.messages import pose_message, stamp_to_ns
 from support.spinning import spinning
 from tactile_hand_ros import names
 from tactile_hand_ros.compiled import Array
 from tactile_hand_ros.config.hand_config import load_hand_config
 from tactile_hand_ros.ros import qos
-from tactile_hand_ros.ros.messages import stamp_to_ns
 from tactile_hand_ros.ros.middleware import ros_context
 from tactile_hand_ros.ros.node import PUBLICATIONS, SUBSCRIPTIONS
 from tactile_hand_ros.ros.processes import end_together, wait_until

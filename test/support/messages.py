@@ -32,6 +32,11 @@ def header(stamp_ns: int, frame: str = PALM_FRAME) -> Header:
     return Header(stamp=Time(sec=seconds, nanosec=nanoseconds), frame_id=frame)
 
 
+def stamp_to_ns(stamp: Time) -> int:
+    """Return a message timestamp in nanoseconds."""
+    return stamp.sec * 10**9 + stamp.nanosec
+
+
 def pose(position: ArrayLike, quaternion: ArrayLike) -> Pose:
     """Return a pose from a position and a quaternion in the order x, y, z, w."""
     point = Point(**dict(zip("xyz", np.asarray(position, float).tolist(), strict=True)))

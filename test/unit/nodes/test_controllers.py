@@ -13,7 +13,7 @@ from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import JointState, JoyFeedbackArray
 from std_msgs.msg import Bool, Float64, String
 from std_srvs.srv import SetBool, Trigger
-from support.messages import pose_message
+from support.messages import pose_message, stamp_to_ns
 from support.nodes import counts, facts, tapped
 
 from tactile_hand_ros import names
@@ -28,7 +28,7 @@ from tactile_hand_ros.nodes.slip_regulator import SlipRegulatorNode
 from tactile_hand_ros.ros import qos
 from tactile_hand_ros.ros.diagnostics import OK, WARN
 from tactile_hand_ros.ros.endpoints import TickFailedError
-from tactile_hand_ros.ros.messages import JointCodec, WrenchCodec, stamp_to_ns
+from tactile_hand_ros.ros.messages import JointCodec, WrenchCodec
 from tactile_hand_ros.scenario.scenario import load_scenario
 from tactile_hand_ros.simulation.plant import Plant
 

@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64
 from std_srvs.srv import SetBool, Trigger
-from support.messages import force_message, pose_message
+from support.messages import force_message, pose_message, stamp_to_ns
 from support.spinning import spinning
 
 from bench.processes import isolated_domain
@@ -24,7 +24,7 @@ from tactile_hand_ros import names
 from tactile_hand_ros.orchestrator import steering as module
 from tactile_hand_ros.orchestrator.steering import HandClient, Steering, SteeringError
 from tactile_hand_ros.ros import qos
-from tactile_hand_ros.ros.messages import PoseCodec, stamp_to_ns
+from tactile_hand_ros.ros.messages import PoseCodec
 from tactile_hand_ros.ros.middleware import graph_node, ros_context
 from tactile_hand_ros.ros.processes import wait_until
 from tactile_hand_ros.rotations import rotation_from_quaternion

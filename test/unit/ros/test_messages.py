@@ -14,7 +14,13 @@ from rclpy.serialization import deserialize_message, serialize_message
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import Imu, JointState
 from std_msgs.msg import Float64
-from support.messages import contacts_message, force_message, joint_message, pose_message
+from support.messages import (
+    contacts_message,
+    force_message,
+    joint_message,
+    pose_message,
+    stamp_to_ns,
+)
 
 from tactile_hand_ros.cdr import LARGEST_MESSAGE, clock_bytes, header_stamp
 from tactile_hand_ros.control.contact import Contacts
@@ -26,7 +32,6 @@ from tactile_hand_ros.ros.messages import (
     PoseCodec,
     WrenchCodec,
     read_number,
-    stamp_to_ns,
 )
 from tactile_hand_ros.rotations import rotation_from_quaternion
 

@@ -14,6 +14,7 @@ from rclpy.parameter import Parameter
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool
 from std_srvs.srv import SetBool, Trigger
+from support.messages import stamp_to_ns
 from support.nodes import Process, counts, facts
 
 from tactile_hand_ros import names
@@ -24,7 +25,7 @@ from tactile_hand_ros.nodes.plant.driver import CONFLICT
 from tactile_hand_ros.nodes.plant.node import PlantNode
 from tactile_hand_ros.ros import qos
 from tactile_hand_ros.ros.diagnostics import ERROR, WARN
-from tactile_hand_ros.ros.messages import JointCodec, stamp_to_ns
+from tactile_hand_ros.ros.messages import JointCodec
 from tactile_hand_ros.simulation.plant_run import PlantRun
 
 COMMAND = JointCodec(Hand.load("paper").joint_names, ("effort",))
