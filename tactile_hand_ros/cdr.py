@@ -192,10 +192,6 @@ class _Cursor:
         self._data, self._at = data, _ORIGIN
         self.layout = Layout(fixed=[(0, 2)])
 
-    def header(self) -> None:
-        self._skip(8)
-        self.text()
-
     def text(self) -> None:
         size = self.length()
         raw = self._fix(size)
@@ -223,7 +219,8 @@ class _Cursor:
             raise ValueError(f"{len(self._data)} bytes, but at least {self._at} announced")
 
     def message(self, type_name: str) -> None:
-        self.header()
+        self._skip(_STAMP.size)
+        self.text()
         if type_name == "sensor_msgs/msg/JointState":
             for _ in range(self.length()):
                 self.text()
@@ -236,11 +233,7 @@ GROUPS: dict[str, dict[str, tuple[int, bool]]] = {
         "orientation": (4, False),
         "rates, accelerations and covariances": (33, False),
     },
-    "sensor_msgs/msg/JointState": {
-        "position": (1, True),
-        "velocity": (1, True),
-        "effort": (1, True),
-    },
+    "sensor_msgs/msg/JointState": dict.fromkeys(("position", "velocity", "effort"), (1, True)),
     "geometry_msgs/msg/PoseArray": {"poses": (7, True)},
     "geometry_msgs/msg/PoseStamped": {"pose": (7, False)},
     "geometry_msgs/msg/WrenchStamped": {"wrench": (6, False)},
