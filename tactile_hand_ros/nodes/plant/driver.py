@@ -263,11 +263,10 @@ class PlantDriver:
                 self._let_time_pass(True)
 
     def _let_time_pass(self, passes: bool) -> None:
-        self._pace.start()
+        self._pace.start(awaits_command=passes)
         self._pacer.reset()
         if not passes:
             self._pacer.cancel()
-            self._pace.stop()
 
     def _advance(self, ticks: int) -> None:
         """Advance and publish the newest tick."""

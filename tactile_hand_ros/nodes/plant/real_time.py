@@ -27,17 +27,12 @@ class Pace:
         self._tick = tick_ns
         self._clock = clock
         self.late = self.skipped = self.lost_ns = 0
-        self.start()
-        self.stop()
+        self.start(awaits_command=False)
 
-    def start(self) -> None:
-        """Make the first tick due one period from now."""
+    def start(self, *, awaits_command: bool = True) -> None:
+        """Make the first tick due one period from now; without a command if time stops."""
         self._due_at = self._clock() + self._tick
-        self._awaits_command = True
-
-    def stop(self) -> None:
-        """Expect no command for the newest tick, because time stops."""
-        self._awaits_command = False
+        self._awaits_command = awaits_command
 
     def due(self) -> int:
         """Return the number of ticks that are due now, and count them as done."""

@@ -77,7 +77,7 @@ def test_a_command_is_late_once_the_next_tick_is_due():
     made.answered()
     assert made.late == 1
     made.due()
-    made.stop()
+    made.start(awaits_command=False)
     hands.now += 3 * TICK
     made.answered()
     made.due()
