@@ -90,6 +90,11 @@ class CapturedProcess(ChildProcess):
         # The child shares the file offset, so read without moving it.
         return os.pread(descriptor, os.fstat(descriptor).st_size, 0).decode(errors="replace")
 
+    def send(self, number: int) -> None:
+        """Send a signal to the process alone, as ``kill`` does."""
+        if self.returncode is None:  # Popen would reap an ended one, and its group would live on
+            os.kill(self.pid, number)
+
     def wait(self, timeout: float = 20.0) -> int:
         """Wait for the end and return the exit code.
 

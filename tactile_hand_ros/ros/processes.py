@@ -117,10 +117,6 @@ class ChildProcess:
             os.killpg(self.pid, signal.SIGKILL)
         return self._process.poll()
 
-    def send(self, number: int) -> None:
-        """Send a signal to the process alone, as ``kill`` does."""
-        self._process.send_signal(number)
-
     def send_to_group(self, number: int) -> None:
         """Send a signal to the process and its children, as a terminal does."""
         if self.returncode is None:
