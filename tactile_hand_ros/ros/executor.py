@@ -135,13 +135,14 @@ class WaitSetExecutor(Executor):
 
     def add_node(self, node: Node) -> bool:
         """Serve a node."""
-        self._stale = True
-        return bool(super().add_node(node))
+        is_new = bool(super().add_node(node))
+        self.wake()  # afterwards: another thread may rebuild at any time
+        return is_new
 
     def remove_node(self, node: Node) -> None:
         """Stop serving a node."""
-        self._stale = True
         super().remove_node(node)
+        self.wake()
 
     def after_reading(self, callback: Callable[[], None]) -> None:
         """Call back once, after all waiting messages have been handled."""
@@ -169,7 +170,7 @@ class WaitSetExecutor(Executor):
 
     def _wait_sets(self, stack: ExitStack) -> list[_WaitSet]:
         """Return the wait sets of frequent entities, of services and clients, and of events."""
-        self._stale, nodes, context = False, self.get_nodes(), self._context
+        self._stale, nodes, context = False, self.get_nodes(), self.context
         guards = [self._guard, self._sigint_gc, *(g for node in nodes for g in node.guards)]
         own = [s for node in nodes for s in node.subscriptions if self.can_execute(s)]
         timers = [timer for node in nodes for timer in node.timers]
@@ -259,7 +260,7 @@ class WaitSetExecutor(Executor):
             yield item
 
     def _is_running(self) -> bool:
-        return bool(self._context.ok()) and not self._is_shutdown
+        return bool(self.context.ok()) and not self._is_shutdown
 
     def _survive(self, source: str, error: Exception) -> None:
         """Pass an error to all nodes that survive errors."""
