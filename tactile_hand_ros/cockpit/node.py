@@ -60,7 +60,8 @@ class CockpitNode(TactileNode[CockpitConfig]):
 
     Publications, only on demand: `desired_pose`, `user_grasp_force`, `push` (geometry_msgs/
     WrenchStamped in `palm`, N and N m), `marks` (std_msgs/String, a user's mark in the recording).
-    It calls the services `~/run`, `~/reset`, `~/grasp`, `~/enable` and those of parameters.
+    It calls the services `plant/run`, `plant/step`, `plant/reset`, `manipulation_controller/grasp`,
+    `manipulation_controller/enable` and those of parameters.
 
     Parameters: the fields of `CockpitConfig`.
     """

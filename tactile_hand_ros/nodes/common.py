@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Parts shared by several nodes: a log of mode changes and publishers of touch."""
+"""Parts shared by several nodes: a log of modes, an encoder of poses, publishers of touch."""
 
 from __future__ import annotations
 

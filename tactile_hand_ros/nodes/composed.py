@@ -14,7 +14,8 @@ crash together, and the drivers of a real hand must then hold the joints.
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
+from functools import partial
 from typing import Any, cast
 
 from rclpy.node import Node
@@ -138,7 +139,7 @@ class TouchedHand(_Wired):
 
 
 def composed_nodes(*, record: bool = False, **kwargs: Any) -> Iterator[Node]:
-    """Create and start all nodes, with a recorder if `record`."""
+    """Create and start all nodes; ``--record``, here `record`, adds the recorder."""
     members: list[Any] = []
     for kind in MEMBERS[:-1]:
         members.append(kind(composed=True, **kwargs))
@@ -164,9 +165,8 @@ def controller_nodes(**kwargs: Any) -> Iterator[Node]:
     TouchedHand(*members)
 
 
-def main(args: Sequence[str] | None = None) -> int:
+def main() -> int:
     """Run all nodes until SIGINT or SIGTERM and return the exit code."""
-    line = list(sys.argv if args is None else args)
-    record = RECORD in line
-    line = [word for word in line if word != RECORD]
-    return run_nodes(lambda: composed_nodes(record=record), line, described=MEMBERS)
+    make = partial(composed_nodes, record=RECORD in sys.argv)
+    line = [word for word in sys.argv if word != RECORD]
+    return run_nodes(make, line, described=[composed_nodes, *MEMBERS])
