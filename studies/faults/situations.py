@@ -9,7 +9,7 @@ path without a fault, and its positions under an ideal hold that starts at about
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Mapping
 from functools import cache
 from typing import Any, NamedTuple
 
@@ -36,47 +36,36 @@ FAULT_TIME = 1.0
 _ENDLESS = 3600.0
 
 
-@dataclass(frozen=True)
-class Situation:
-    """A scenario and the time of the fault in it.
+class Situation(NamedTuple):
+    """A scenario, changed by dotted key, and the simulated time of the fault in it [s].
 
-    Attributes:
-        scenario: Name of the scenario.
-        time: Simulated time of the fault [s]; a random delay of up to 0.2 s is added.
-        forces: Vertical forces on the object: start [s], force [N], and rise time [s], 0 for a
-            step; None for those of the scenario.
-        moves: Whether the targets of the scenario are used.
+    A random delay of up to 0.2 s is added to the time.
     """
 
     scenario: str
     time: float
-    forces: tuple[tuple[float, float, float], ...] | None = None
-    moves: bool = True
-
-    @property
-    def changes(self) -> dict[str, Any]:
-        """Changes to the scenario by dotted key."""
-        changed: dict[str, Any] = {} if self.moves else {"targets": []}
-        if self.forces is not None:
-            changed["plant.disturbances"] = [_push(*force) for force in self.forces]
-        return changed
+    changes: Mapping[str, Any]
 
 
-def _push(start: float, force: float, grows: float) -> dict[str, Any]:
-    push = {"kind": "ramp" if grows else "step", "start": start, "force": [0.0, 0.0, force]}
-    return {**push, "duration": grows} if grows else push
+def _pushes(*pushes: tuple[float, float, float]) -> dict[str, Any]:
+    """Return vertical forces on the object: start [s], force [N], rise time [s], 0 for a step."""
+    found = []
+    for start, force, rise in pushes:
+        push = {"kind": "ramp" if rise else "step", "start": start, "force": [0.0, 0.0, force]}
+        found.append({**push, "duration": rise} if rise else push)
+    return {"plant.disturbances": found}
 
 
 SITUATIONS = {
-    "at rest": Situation("paper", 0.4, moves=False),
-    "moving": Situation("paper", 0.5),
-    "lifting": Situation("lift", 0.5, ((0.0, 1.962, 0.0), (0.4, -1.962, 0.5))),
-    "pulled": Situation("pull", 0.4, ((0.3, -5.0, 0.3),)),
-    "heavy": Situation("heavy", 0.8, ((0.0, 9.81, 0.0), (0.3, -9.81, 0.5))),
-    "human, at rest": Situation("human_hold", 0.4),
-    "human, turning": Situation("human_turn", 2.05),
-    "human, lifting": Situation("human_lift", 0.5, ((0.0, 2.943, 0.0), (0.4, -2.943, 0.5))),
-    "human, pulled": Situation("human_pull", 0.4, ((0.3, -4.0, 0.3),)),
+    "at rest": Situation("paper", 0.4, {"targets": []}),
+    "moving": Situation("paper", 0.5, {}),
+    "lifting": Situation("lift", 0.5, _pushes((0.0, 1.962, 0.0), (0.4, -1.962, 0.5))),
+    "pulled": Situation("pull", 0.4, _pushes((0.3, -5.0, 0.3))),
+    "heavy": Situation("heavy", 0.8, _pushes((0.0, 9.81, 0.0), (0.3, -9.81, 0.5))),
+    "human, at rest": Situation("human_hold", 0.4, {}),
+    "human, turning": Situation("human_turn", 2.05, {}),
+    "human, lifting": Situation("human_lift", 0.5, _pushes((0.0, 2.943, 0.0), (0.4, -2.943, 0.5))),
+    "human, pulled": Situation("human_pull", 0.4, _pushes((0.3, -4.0, 0.3))),
 }
 
 
