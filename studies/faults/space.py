@@ -10,8 +10,7 @@ from __future__ import annotations
 import itertools
 import random
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import NamedTuple
+from dataclasses import dataclass, replace
 
 SPREAD = 0.2
 """Simulated time over which the moments of faults are spread [s]."""
@@ -52,20 +51,30 @@ HAND = (SENSOR, REGULATOR, OPTIMIZER, CONTROLLER)
 """The nodes that are killed and stopped, by the faults of `DEADLY`."""
 
 
-class Cell(NamedTuple):
-    """One fault of one component in one situation and one way to run."""
+@dataclass(frozen=True)
+class Injection:
+    """One fault of one component in one situation and one way to run: a cell of the campaign.
+
+    Its seed determines its time and noise.
+    """
 
     way: str
     situation: str
     component: str
     fault: str
+    seed: int = 0
+
+    @property
+    def delay(self) -> float:
+        """Delay of the fault after the earliest time of its situation [s]."""
+        return random.Random(self.seed).uniform(0.0, SPREAD)
 
 
-def cells(hands: Sequence[str] = tuple(SITUATIONS)) -> list[Cell]:
-    """Return all cells for some hands."""
+def cells(hands: Sequence[str] = tuple(SITUATIONS)) -> list[Injection]:
+    """Return all cells for some hands, with seed 0."""
     situations = itertools.chain.from_iterable(SITUATIONS[hand] for hand in hands)
     return [
-        Cell(way, situation, component, fault)
+        Injection(way, situation, component, fault)
         for way, situation in itertools.product(WAYS, situations)
         for component, faults in FAULTS_OF.items()
         for fault in (*faults, *((NONE,) if component in _bases(way) else ()))
@@ -92,23 +101,7 @@ def _exists(way: str, component: str, fault: str) -> bool:
     return component in (RECORDER, USER, COMPUTER)
 
 
-@dataclass(frozen=True)
-class Injection:
-    """One injection: its cell, and the seed of its time and noise."""
-
-    way: str
-    situation: str
-    component: str
-    fault: str
-    seed: int
-
-    @property
-    def delay(self) -> float:
-        """Delay of the fault after the earliest time of its situation [s]."""
-        return random.Random(self.seed).uniform(0.0, SPREAD)
-
-
-def sample(runs: int, seed: int, among: Sequence[Cell]) -> list[Injection]:
+def sample(runs: int, seed: int, among: Sequence[Injection]) -> list[Injection]:
     """Return a balanced sample of cells: their counts differ by at most one.
 
     Runs that share nodes are consecutive. The seed determines the choice and each run.
@@ -117,5 +110,6 @@ def sample(runs: int, seed: int, among: Sequence[Cell]) -> list[Injection]:
     drawn: list[Injection] = []
     while len(drawn) < runs and chosen:
         chance.shuffle(chosen)
-        drawn += [Injection(*cell, chance.randrange(2**31)) for cell in chosen[: runs - len(drawn)]]
+        cut = chosen[: runs - len(drawn)]
+        drawn += [replace(cell, seed=chance.randrange(2**31)) for cell in cut]
     return sorted(drawn, key=lambda run: (run.way, run.situation, run.component == RECORDER))

@@ -3,6 +3,7 @@
 
 import itertools
 from collections import Counter
+from dataclasses import replace
 
 import pytest
 
@@ -41,5 +42,5 @@ def test_a_node_is_killed_only_where_it_is_a_process():
     for cell in space.cells():
         if cell.component in space.HAND and cell.fault in space.DEADLY:
             assert cell.way in ("lockstep", "processes") or cell.fault == "off"
-    killed = space.Cell("processes", "moving", "sensor", "stopped")
-    assert killed in space.cells() and killed._replace(way="composed") not in space.cells()
+    killed = space.Injection("processes", "moving", "sensor", "stopped")
+    assert killed in space.cells() and replace(killed, way="composed") not in space.cells()
