@@ -67,15 +67,6 @@ def dropped_at(record: Record, releases: Sequence[float] = ()) -> float:
     return math.nan if any(release <= time for release in releases) else time
 
 
-def position_error(record: Record) -> Array:
-    """Return p_d - p at every tick, shape (n, 3), m; NaN while the hand has no estimate of p.
-
-    Before the first command the desired pose is the initial grasp, as in the controller.
-    """
-    desired = _or_start(record.desired_position, record.auxiliary_position)
-    return np.asarray(desired - record.auxiliary_position)
-
-
 def rotation_error(record: Record) -> Array:
     """Return r_d of every tick, shape (n, 3), 2 sin(angle) times the axis, palm axes.
 
@@ -93,8 +84,13 @@ def rotation_between(desired: Array, actual: Array) -> Array:
 
 
 def pose_errors(record: Record, dropped: float) -> tuple[Array, Array]:
-    """Return |p_d - p| in m and |r_d| at every tick, shape (n,); NaN from `dropped`, s, on."""
-    position = np.linalg.norm(position_error(record), axis=1)
+    """Return |p_d - p| in m and |r_d| at every tick, shape (n,); NaN from `dropped`, s, on.
+
+    They are also NaN while the hand has no estimate of p. Before the first command the desired
+    pose is the initial grasp, as in the controller.
+    """
+    desired = _or_start(record.desired_position, record.auxiliary_position)
+    position = np.linalg.norm(desired - record.auxiliary_position, axis=1)
     rotation = np.linalg.norm(rotation_error(record), axis=1)
     gone = record.times >= dropped
     position[gone] = rotation[gone] = np.nan
@@ -123,12 +119,6 @@ def required_friction(record: Record) -> Array:
 def expected_normal_forces(record: Record) -> Array:
     """Return k_f f*_n of every contact, shape (n, k), N: the normal forces by (15)."""
     return np.asarray(record.grasp_force[:, None] * record.optimal_forces[:, :, 1])
-
-
-def contact_lost(record: Record) -> NDArray[np.bool_]:
-    """Return the ticks with a missing contact, shape (n,), except those without touch messages."""
-    missing = np.isnan(record.contact_positions[:, :, 0])
-    return np.asarray(missing.any(axis=1) & ~silent(record))
 
 
 def motion_in_grasp(record: Record) -> tuple[Array, Array]:

@@ -157,7 +157,8 @@ def metrics(
     dropped = derived.dropped_at(record, releases)
     position, rotation = derived.pose_errors(record, dropped)
     inside = (position <= goal.position_error) & (rotation <= goal.rotation_error)
-    lost = record.times[derived.contact_lost(record)]
+    missing = np.isnan(record.contact_positions[:, :, 0]).any(axis=1)
+    lost = record.times[missing & ~derived.silent(record)]
     moved, turned = derived.motion_in_grasp(record)
     slid = _peak(record.true_slid)
     found = Metrics(
