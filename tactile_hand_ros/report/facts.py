@@ -6,10 +6,9 @@ from __future__ import annotations
 import math
 from typing import Any
 
-import numpy as np
-
 from tactile_hand_ros.errors import counted
 from tactile_hand_ros.report import tables
+from tactile_hand_ros.run.metrics import peak
 from tactile_hand_ros.run.result import RunData
 from tactile_hand_ros.scenario.scenario import UNLIMITED_SLIP
 
@@ -34,8 +33,9 @@ def tiles(run: RunData) -> list[dict[str, Any]]:
         ]
         settled = _tile("settled after", m.settling_time_s, "s", "both errors inside")
         found += [] if run.steered else [settled]
+    highest = tables.number(peak(run.record.grasp_force), "N")
     found += [
-        _tile("grasp force k_f", m.final_grasp_force_N, "N", f"peak {_peak_grasp_force(run)}"),
+        _tile("grasp force k_f", m.final_grasp_force_N, "N", f"peak {highest}"),
         _slips(run),
     ]
     if bag is not None:
@@ -77,11 +77,6 @@ def _tile(label: str, value: float, unit: str, note: str) -> dict[str, Any]:
     is_known = not math.isnan(value)
     shown, unit = (f"{value:.3g}", unit) if is_known else ("unknown", "")
     return {"label": label, "value": shown, "unit": unit, "note": note}
-
-
-def _peak_grasp_force(run: RunData) -> str:
-    known = run.record.grasp_force[np.isfinite(run.record.grasp_force)]
-    return tables.number(float(known.max()), "N") if len(known) else "unknown"
 
 
 def all_tables(run: RunData) -> list[dict[str, Any]]:

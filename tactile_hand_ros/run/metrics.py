@@ -160,19 +160,19 @@ def metrics(
     missing = np.isnan(record.contact_positions[:, :, 0]).any(axis=1)
     lost = record.times[missing & ~derived.silent(record)]
     moved, turned = derived.motion_in_grasp(record)
-    slid = _peak(record.true_slid)
+    slid = peak(record.true_slid)
     found = Metrics(
         ticks=len(record),
         simulated_time_s=float(record.times[-1] - record.times[0]),
         final_position_error_m=float(position[-1]),
         final_rotation_error_rad=float(rotation[-1]),
         settling_time_s=_settling(record, inside),
-        peak_joint_rate_rad_per_s=_peak(np.abs(record.rates)),
+        peak_joint_rate_rad_per_s=peak(np.abs(record.rates)),
         **_force_metrics(record),
         contacts_lost_ticks=len(lost),
         first_contact_loss_s=float(lost[0]) if len(lost) else math.nan,
-        max_object_displacement_in_grasp_m=_peak(moved),
-        max_object_rotation_in_grasp_rad=_peak(turned),
+        max_object_displacement_in_grasp_m=peak(moved),
+        max_object_rotation_in_grasp_rad=peak(turned),
         max_slip_distance_m=slid,
         slip_count=None if math.isnan(slid) else slip_count(record),
         slip_alarm_count=alarm_count(record),
@@ -194,7 +194,7 @@ def _force_metrics(record: Record) -> dict[str, Any]:
     off = _relative(normal, optimal)
     beta = derived.required_friction(record)
     later = record.times >= record.times[0] + START_S
-    peaks = np.array([_peak(column) for column in beta[later].T])
+    peaks = np.array([peak(column) for column in beta[later].T])
     return {
         "final_grasp_force_N": grasp_force,
         "final_normal_forces_N": _by_finger(record, normal),
@@ -202,7 +202,7 @@ def _force_metrics(record: Record) -> dict[str, Any]:
         "worst_normal_force_relative_error": float(off.max()) if off.size else math.nan,
         "normal_force_sum_N": total,
         "normal_force_sum_relative_error": float(_relative(np.array(total), np.array(grasp_force))),
-        "peak_normal_force_N": _peak(every),
+        "peak_normal_force_N": peak(every),
         "final_required_friction": _by_finger(record, beta[-1]),
         "max_required_friction": _by_finger(record, peaks),
     }
@@ -221,7 +221,7 @@ def _settling(record: Record, inside: NDArray[np.bool_]) -> float:
     return float(max(0.0, record.times[settled] - record.times[commanded]))
 
 
-def _peak(values: Array) -> float:
+def peak(values: Array) -> float:
     """Return the largest known value, NaN if there is none."""
     return float(np.fmax.reduce(values, axis=None, initial=math.nan))
 
