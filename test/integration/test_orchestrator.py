@@ -34,6 +34,7 @@ from tactile_hand_ros.verify.recompute import recompute
 
 # Six processes and their libraries start; a machine that does other things too takes its time.
 PATIENCE = 90.0
+COMMAND = Path(sys.executable).with_name("tactile-hand")
 NEAR = """
 extends: paper
 description: A target that is nearly reached already.
@@ -137,7 +138,7 @@ def test_run_reaches_its_goal_and_is_recorded_completely(domain, tmp_path):
     (home / "mine.yaml").write_text(f"law: my_law:MyLaw\n{NEAR}")
     unset = {key: text for key, text in os.environ.items() if key != "AMENT_PREFIX_PATH"}
     done = subprocess.run(
-        [sys.executable, "-m", "tactile_hand_ros.cli", "run", home / "mine.yaml"],
+        [COMMAND, "run", home / "mine.yaml"],
         cwd=home,
         env=unset,
         capture_output=True,
@@ -232,7 +233,7 @@ def test_a_closed_terminal_leaves_a_whole_bag_also_when_the_recorder_was_held_up
     # A slow computer must not count as silence, nor the plant leave the recorder behind.
     words += ["--set", "plant.command_timeout=60", "--set", "plant.speed=1"]
     orchestrator = subprocess.Popen(
-        [sys.executable, "-m", "tactile_hand_ros.cli", *words],
+        [COMMAND, *words],
         **dict.fromkeys(("stdin", "stdout", "stderr"), theirs),
         cwd=tmp_path,
         env={**os.environ, "TERM": "xterm"},
