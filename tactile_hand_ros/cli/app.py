@@ -59,11 +59,9 @@ for _command in (
     *experiments.COMMANDS,
     *runs.COMMANDS,
 ):
-    app.command(epilog=_example(_command))(_command)
-# An unknown option may be a negative number.
-_NEGATIVE = {"ignore_unknown_options": True}
-app.command(epilog=_example(steer.move), context_settings=_NEGATIVE)(steer.move)
-app.command(epilog=_example(steer.squeeze), context_settings=_NEGATIVE)(steer.squeeze)
+    # An unknown option may be a negative number.
+    _settings = {"ignore_unknown_options": _command in (steer.move, steer.squeeze)}
+    app.command(epilog=_example(_command), context_settings=_settings)(_command)
 
 
 def _print_version(wanted: bool) -> None:

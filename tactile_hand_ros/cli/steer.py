@@ -141,5 +141,4 @@ def _hand(namespace: str, timeout: float) -> Iterator[HandClient]:
         yield HandClient(node, timeout)
 
 
-COMMANDS = (grasp, release, reset)
-"""All but `move` and `squeeze`, which take negative numbers as arguments."""
+COMMANDS = (move, squeeze, grasp, release, reset)
