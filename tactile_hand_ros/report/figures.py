@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Any
 from tactile_hand_ros.closed_loop.record import Record
 from tactile_hand_ros.extras import optional
 from tactile_hand_ros.report.style import (
+    AXES,
     INK,
     JOINT_LINES,
     PAGE,
-    axis_color,
     finger_color,
     label_panel,
     look,
@@ -75,7 +75,7 @@ def draw_rates(axes: Axes, record: Record) -> None:
 def draw_position(axes: Axes, record: Record) -> None:
     """Draw the contact centroid as estimated by the hand, and p_d dashed."""
     for i in range(3):
-        axes.plot(record.times, record.auxiliary_position[:, i], color=axis_color(i))
+        axes.plot(record.times, record.auxiliary_position[:, i], color=AXES[i])
         axes.plot(record.times, record.desired_position[:, i], **_TARGET)
     axes.set_ylabel(r"$\bar{p}_c$ and $p_d$ [m]")
 
@@ -85,7 +85,7 @@ def draw_rotation_error(axes: Axes, record: Record) -> None:
     error = derived.rotation_error(record)
     axes.axhline(0.0, **_TARGET)
     for i in range(3):
-        axes.plot(record.times, error[:, i], color=axis_color(i))
+        axes.plot(record.times, error[:, i], color=AXES[i])
     axes.set_ylabel(r"$r_d$ [rad]")
 
 
@@ -145,7 +145,7 @@ def _motion_handles(record: Record) -> list[Line2D]:
     fingers = [_handle(finger_color(i), "-", pretty(n)) for i, n in enumerate(record.finger_names)]
     lines = JOINT_LINES[: _joints_per_finger(record)]
     joints = [_handle(INK, line, f"joint {j + 1}") for j, line in enumerate(lines)]
-    axes = [_handle(axis_color(i), "-", f"${name}$") for i, name in enumerate("xyz")]
+    axes = [_handle(AXES[i], "-", f"${name}$") for i, name in enumerate("xyz")]
     return [*fingers, *joints, *axes, _handle(INK, _DASHED, "target", 0.8)]
 
 

@@ -16,7 +16,7 @@ from tactile_hand_ros.errors import TactileHandError
 from tactile_hand_ros.files import replace_text
 from tactile_hand_ros.report.document import MAX_BYTES, run_document
 from tactile_hand_ros.report.figures import motion_figure
-from tactile_hand_ros.report.style import axis_color
+from tactile_hand_ros.report.style import AXES
 from tactile_hand_ros.run.metrics import json_ready
 from tactile_hand_ros.run.result import RunData
 
@@ -68,7 +68,7 @@ def _filled(name: str, content: dict[str, Any], connections: str) -> str:
         "script": script,
         "script_hash": _source_hash(script),
         "connections": connections,
-        "document": _json({"axes": [axis_color(i) for i in range(3)], **content}),
+        "document": _json({"axes": AXES, **content}),
     }
     return _PLACE.sub(lambda place: parts[place.group(1)], _resource("template.html"))
 

@@ -14,10 +14,10 @@ from tactile_hand_ros.control.contact import known_part
 from tactile_hand_ros.extras import optional
 from tactile_hand_ros.hand.hand import Hand
 from tactile_hand_ros.report.style import (
+    AXES,
     FAINT,
     INK,
     PAGE,
-    axis_color,
     finger_color,
     look,
     new_figure,
@@ -137,7 +137,7 @@ def _draw_contacts(axes: Any, record: Record, row: int, reach: float, per_newton
         frame = rotation_from_quaternion(record.contact_quaternions[row, i])
         for axis in (0, 2):
             end = point + _CONTACT_AXIS * reach * frame[:, axis]
-            axes.plot(*np.array([point, end]).T, color=axis_color(axis), lw=1.3, zorder=5)
+            axes.plot(*np.array([point, end]).T, color=AXES[axis], lw=1.3, zorder=5)
         axes.plot(*point[:, None], "o", color=INK, ms=2.5, zorder=6)
         arrow = per_newton * frame @ forces[i]
         if np.isfinite(arrow).all():

@@ -21,7 +21,8 @@ DPI = 220
 INK, FAINT = "#222222", "#8a8a8a"
 # Okabe and Ito (2008): fingers first, then axes, so that each color has one meaning.
 _FINGERS = ("#0072B2", "#D55E00", "#009E73", "#7A5195", "#8C6D1F", "#444444")
-_AXES = ("#CC79A7", "#E69F00", "#56B4E9")
+AXES = ("#CC79A7", "#E69F00", "#56B4E9")
+"""Colors of x, y and z."""
 JOINT_LINES = ("-", "--", ":", "-.")
 
 _PARAMETERS: dict[str, Any] = {
@@ -59,11 +60,6 @@ _PARAMETERS: dict[str, Any] = {
 def finger_color(index: int) -> str:
     """Return the color of a finger, or of a run or outcome in a figure without fingers."""
     return _FINGERS[index % len(_FINGERS)]
-
-
-def axis_color(index: int) -> str:
-    """Return the color of x, y or z."""
-    return _AXES[index]
 
 
 def pretty(name: str) -> str:

@@ -13,7 +13,7 @@ from tactile_hand_ros.closed_loop.loop import ClosedLoop
 from tactile_hand_ros.closed_loop.record import Record
 from tactile_hand_ros.report.figures import friction_figure, motion_figure
 from tactile_hand_ros.report.scene import grasp_figure
-from tactile_hand_ros.report.style import DPI, PAGE, axis_color, finger_color, save
+from tactile_hand_ros.report.style import AXES, DPI, PAGE, finger_color, save
 from tactile_hand_ros.scenario.scenario import load_scenario
 
 
@@ -75,7 +75,7 @@ def test_same_record_gives_same_files(tmp_path: Path) -> None:
 def test_no_color_means_two_things() -> None:
     fingers = {finger_color(i) for i in range(6)}
     assert len(fingers) == 6
-    assert len({axis_color(i) for i in range(3)} | fingers) == 9
+    assert len({*AXES} | fingers) == 9
 
 
 def test_strong_forces_stay_in_the_picture() -> None:
