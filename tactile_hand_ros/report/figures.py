@@ -14,7 +14,6 @@ from tactile_hand_ros.report.style import (
     JOINT_LINES,
     PAGE,
     finger_color,
-    label_panel,
     look,
     new_figure,
     pretty,
@@ -40,13 +39,13 @@ def motion_figure(record: Record) -> Figure:
         figure = new_figure(PAGE, 4.2)
         axes = figure.subplots(2, 2, sharex=True)
         draw_rates(axes[0, 0], record)
-        label_panel(axes[0, 0], "a", "joint rates")
+        axes[0, 0].set_title("(a) joint rates")
         draw_position(axes[0, 1], record)
-        label_panel(axes[0, 1], "b", "centroid of the contacts")
+        axes[0, 1].set_title("(b) centroid of the contacts")
         draw_rotation_error(axes[1, 0], record)
-        label_panel(axes[1, 0], "c", "orientation error")
+        axes[1, 0].set_title("(c) orientation error")
         draw_normal_forces(axes[1, 1], record)
-        label_panel(axes[1, 1], "d", "normal forces")
+        axes[1, 1].set_title("(d) normal forces")
         for panel in axes[1]:
             panel.set_xlabel("time [s]")
         if len(record) > 1:
@@ -112,7 +111,7 @@ def friction_figure(records: Mapping[str, Record]) -> Figure:
         panels = figure.subplots(1, count, sharex=True, sharey=True, squeeze=False)
         for i, name in enumerate(first.finger_names):
             _draw_friction(panels[0, i], records, i)
-            label_panel(panels[0, i], "abcdefgh"[i % 8], pretty(name))
+            panels[0, i].set_title(f"({'abcdefgh'[i % 8]}) {pretty(name)}")
             panels[0, i].set_xlabel("time [s]")
         panels[0, 0].set_ylabel(r"$\beta = \sqrt{f_x^2 + f_z^2}\,/\,f_n$")
         panels[0, 0].set_ylim(bottom=0.0)

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any
 from tactile_hand_ros.extras import optional
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 PAGE = 7.16
@@ -29,6 +28,8 @@ _PARAMETERS: dict[str, Any] = {
     "font.size": 8.0,
     "axes.labelsize": 8.0,
     "axes.titlesize": 8.0,
+    "axes.titlelocation": "left",
+    "axes.titlepad": 4.0,
     "xtick.labelsize": 7.0,
     "ytick.labelsize": 7.0,
     "legend.fontsize": 7.0,
@@ -81,11 +82,6 @@ def new_figure(width: float, height: float, layout: str = "constrained") -> Figu
         figsize=(width, height), layout=layout
     )
     return made
-
-
-def label_panel(axes: Axes, letter: str, title: str) -> None:
-    """Add a letter and a title to a panel."""
-    axes.set_title(f"({letter}) {title}", loc="left", pad=4.0)
 
 
 # Without dates and versions, so that equal runs give equal files.
