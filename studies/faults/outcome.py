@@ -69,7 +69,8 @@ def judge(hand: RunningHand, run: Injection, moment: float, begin: float, end: f
     after = hand.since(begin)
     recovered = recovery(hand, after, end)
     failing = [e for e in after if recovered is None or e.time <= end + recovered]
-    safe, declared = _first_declared(hand, after)
+    holds = [(e.time, names.JOINT_HOLD) for e in _holds(hand, after)]
+    safe, declared = min([*holds, *hand.errors(after)], default=(None, ""))
     moved = distance(run, hand.positions(failing)[1], moment)
     return Outcome(
         dropped=not hand.is_touching(after) or moved > LET_GO,
@@ -90,12 +91,6 @@ def distance(run: Injection, seen: Array, moment: float) -> float:
     if run.component == space.USER and run.fault in ("stuck", "delayed", "intermittent"):
         return math.nan  # motion toward a reachable command is no displacement
     return expected(run.situation, run.way).distance(seen, moment)
-
-
-def _first_declared(hand: RunningHand, events: list[Received]) -> tuple[float | None, str]:
-    """Return the time and the source of the first hold or ERROR."""
-    holds = [(e.time, names.JOINT_HOLD) for e in _holds(hand, events)]
-    return min([*holds, *hand.errors(events)], default=(None, ""))
 
 
 def _holds(hand: RunningHand, events: list[Received]) -> list[Received]:

@@ -162,11 +162,6 @@ class Series:
                 out[table.rows] = table.doubles(name)[:, order]
         return out
 
-    @property
-    def joint_names(self) -> list[str]:
-        """Names in the first JointState."""
-        return next((t.layout.texts[1:] for t in self.tables if 0 in t.rows), [])
-
 
 def read_series(
     messages: Mapping[str, TopicMessages], types: Mapping[str, str]
@@ -191,7 +186,9 @@ def align(series: Mapping[str, Series], topics: HandTopics) -> Record:
     """
     states = series[topics.full(names.JOINT_STATES)]
     ticks, _ = first_ticks(states)
-    joints, fingers = states.joint_names, topics.fingers
+    # The joints are those of the first message.
+    joints: list[str] = next((t.layout.texts[1:] for t in states.tables if 0 in t.rows), [])
+    fingers = topics.fingers
     record = Record.empty(len(ticks), list(fingers), joints)
     record.stamps[:] = ticks
 
