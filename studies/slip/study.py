@@ -93,7 +93,7 @@ def sample_cases(runs: int, seed: int, hand: str = "paper") -> list[SlipCase]:
     """Return cases from Latin-hypercube sampling of the ranges."""
     qmc = optional("scipy.stats.qmc", "The slip study")
     cases = []
-    for i, u in enumerate(qmc.LatinHypercube(d=9, rng=np.random.default_rng(seed)).random(runs)):
+    for i, u in enumerate(qmc.LatinHypercube(d=9, seed=np.random.default_rng(seed)).random(runs)):
         angle, tilt = 2.0 * math.pi * u[7], 0.5 * u[8]
         sideways, event = math.sin(tilt), EVENTS[int(3 * u[0])]
         cases.append(
