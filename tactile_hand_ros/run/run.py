@@ -87,7 +87,8 @@ class Run(Result):
         self.summary = summarize(self.bag)
         self.custom_data, self.start_time = self.summary.custom_data, self.summary.start_time
         # Results belong in the run's folder, or next to a bare bag.
-        self.folder = self.path if self.bag != self.path else self.bag.parent
+        is_inside = self.bag.is_file() and self.bag.parent.name == BAG
+        self.folder = self.bag.parent.parent if is_inside else self.bag.parent
         self._load_scenario()
         self.steered = self._was_steered() if steered is None else steered
         whole = self.path.resolve()
@@ -118,7 +119,7 @@ class Run(Result):
         A bag outlives the version that wrote it, so an outdated scenario must not fail the run.
         """
         text = self.custom_data.get(SCENARIO_KEY, "")
-        files = (folder / SCENARIO_FILE for folder in (self.path, self.bag.parent))
+        files = (folder / SCENARIO_FILE for folder in (self.path, self.folder))
         file = next((file for file in files if file.is_file()), None)
         self.scenario, self.scenario_text = None, text
         try:
@@ -133,7 +134,7 @@ class Run(Result):
 
     def _was_steered(self) -> bool:
         try:
-            content = json.loads((self.bag.parent / SUMMARY_FILE).read_text(encoding="utf-8"))
+            content = json.loads((self.folder / SUMMARY_FILE).read_text(encoding="utf-8"))
             return bool(content["interactive"])
         except (OSError, ValueError, KeyError, TypeError):
             return False  # a bare bag

@@ -322,7 +322,9 @@ def test_a_run_that_a_user_steered_is_not_judged(tmp_path):
     (tmp_path / "scenario.yaml").write_text(resolved(load_scenario("paper")))
     judged = Run(tmp_path, steered=False)
     assert judged.metrics.goal_reached is False and judged.headline == "goal not reached"
-    for finished in (Run(tmp_path), Run(tmp_path / "bag")):
+    for path in (tmp_path, tmp_path / "bag", tmp_path / "bag" / "bag_0.mcap"):
+        finished = Run(path)
+        assert finished.folder == tmp_path
         assert finished.metrics.goal_reached is None and finished.headline == "finished"
 
 
