@@ -19,15 +19,14 @@ from xml.etree import ElementTree
 import numpy as np
 
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
-from tactile_hand_ros.closed_loop.record import Record
 from tactile_hand_ros.compiled import Array
 from tactile_hand_ros.config.hand_config import load_hand_config
 from tactile_hand_ros.config.plain_yaml import yaml_text
 from tactile_hand_ros.control.grasp import VirtualFrame
-from tactile_hand_ros.control.slip.detector import ContactState
 from tactile_hand_ros.extras import optional
 from tactile_hand_ros.hand.urdf import describe
 from tactile_hand_ros.rotations import rotation_from_vector, vector_from_rotation
+from tactile_hand_ros.run.events import alarm_count
 from tactile_hand_ros.scenario.scenario import Scenario, load_scenario
 from tactile_hand_ros.simulation.plant import Plant
 
@@ -183,12 +182,6 @@ def _numbers(vector: Array) -> str:
     return " ".join(map(repr, vector.tolist()))
 
 
-def alarms(record: Record) -> int:
-    """Return the number of alarms of a run; they are false if no contact slips."""
-    slips = record.grip == ContactState.SLIP
-    return int((slips[1:] & ~slips[:-1]).sum())
-
-
 def orientations(count: int, seed: int) -> list[tuple[str, Array]]:
     """Return named rotations: none, contact normals to palm z, and random ones."""
     random = np.random.default_rng(seed)
@@ -241,7 +234,7 @@ def compare(name: str, count: int, seed: int) -> list[list[str]]:
             [
                 name,
                 label,
-                str(alarms(record)),
+                str(alarm_count(record)),
                 f"{record.grasp_force.max():.2f} N",
                 f"{record.grasp_force[-1]:.2f} N",
                 f"{1e3 * slid:.3g} mm",
