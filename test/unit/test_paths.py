@@ -8,49 +8,26 @@ from pathlib import Path
 from types import FrameType
 from typing import Any
 
-import numpy as np
 import pytest
+from support.messages import encoded
 from support.nodes import facts
 
 import tactile_hand_ros
 from tactile_hand_ros import names
+from tactile_hand_ros.closed_loop.loop import ClosedLoop
 from tactile_hand_ros.nodes.manipulation_controller import ManipulationControllerNode
 from tactile_hand_ros.nodes.slip_regulator import SlipRegulatorNode
-from tactile_hand_ros.ros.messages import ContactsCodec, JointCodec, WrenchCodec
-from tactile_hand_ros.rotations import quaternion_from_rotation
 from tactile_hand_ros.scenario.scenario import load_scenario
-from tactile_hand_ros.simulation.plant import Plant
 
 PACKAGE = Path(tactile_hand_ros.__file__).parent
 ANSWERS = (names.JOINT_COMMAND, names.GRASP_FORCE)
-TICK = 2_000_000
 STEADY = 7
 """Ticks after which no code path is new."""
 
 
-def messages_of(node: Any, stamp: int) -> dict[str, bytes]:
-    """Return a node's input at a tick [ns] of the paper's grasp, by topic, the joints last."""
-    plant = Plant(load_scenario("paper").plant)
-    state, hand = plant.state, plant.hand
-    turns = np.array([quaternion_from_rotation(each) for each in state.contacts.rotations])
-    force = (0.0, 3.0, 0.0)
-    sent = {
-        names.CONTACTS: ContactsCodec(len(turns)).encode(state.contacts.positions, turns, stamp),
-        names.GRASP_FORCE: WrenchCodec(names.PALM_FRAME).encode(force, stamp),
-    }
-    for finger in hand.finger_names:
-        codec = WrenchCodec(names.contact_frame(finger))
-        sent[names.wrench(finger)] = codec.encode(force, stamp)
-        sent[names.optimal_force(finger)] = codec.encode((0.0, 1.0 / 3.0, 0.0), stamp)
-    joints = JointCodec(hand.joint_names)
-    sent[names.JOINT_STATES] = joints.encode(stamp, *state.joints)
-    taken = {each.topic_name.lstrip("/") for each in node.subscriptions}
-    return {topic: data for topic, data in sent.items() if topic in taken}
-
-
 def bring(node: Any, topic: str, data: bytes, number: int) -> None:
     """Pass a message to a node like its executor."""
-    (subscription,) = (each for each in node.subscriptions if each.topic_name == f"/{topic}")
+    (subscription,) = (each for each in node.subscriptions if each.topic_name == topic)
     info = {"publication_sequence_number": number}
     wants_info = len(inspect.signature(subscription.callback).parameters) > 1
     subscription.callback(data, *([info] if wants_info else []))
@@ -73,13 +50,16 @@ def modules_of_a_tick(node: Any) -> list[str]:
         if event == "call" and file.is_relative_to(PACKAGE):
             found.add(str(file.relative_to(PACKAGE).with_suffix("")))
 
-    for tick in range(1, STEADY + 2):
-        messages = messages_of(node, tick * TICK)
+    sent = encoded(ClosedLoop(load_scenario("paper")).run(STEADY + 1))
+    subscribed = {each.topic_name for each in node.subscriptions}
+    topics = [topic for topic in sent if topic in subscribed]
+    topics.sort(key=lambda topic: topic == f"/{names.JOINT_STATES}")  # the joints come last
+    for tick in range(STEADY + 1):
         found.clear()
         sys.setprofile(note)
         try:
-            for topic, data in messages.items():
-                bring(node, topic, data, tick)
+            for topic in topics:
+                bring(node, topic, sent[topic][tick], tick + 1)
         finally:
             sys.setprofile(None)
     assert len(answers) == int(facts(node)["ticks"]) == STEADY + 1
