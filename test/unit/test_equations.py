@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """docs/reference/equations.md names existing code that names its equation."""
 
-import importlib
+import pkgutil
 import re
 from pathlib import Path
 from typing import Any
@@ -30,18 +30,8 @@ EQUATIONS = table("equation")
 
 def resolve(name: str) -> Any:
     """Return the object of a dotted name below the package, or next to it."""
-    parts = name.split(".")
-    above = [] if parts[0] in ("bench", "studies") else [PACKAGE]
-    for count in range(len(parts), 0, -1):
-        try:
-            module = importlib.import_module(".".join([*above, *parts[:count]]))
-        except ModuleNotFoundError:
-            continue
-        found: Any = module
-        for attribute in parts[count:]:
-            found = getattr(found, attribute)
-        return found
-    raise ModuleNotFoundError(name)
+    is_next_to_it = name.startswith(("bench.", "studies."))
+    return pkgutil.resolve_name(name if is_next_to_it else f"{PACKAGE}.{name}")
 
 
 def test_every_equation_has_a_home():
