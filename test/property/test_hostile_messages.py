@@ -9,7 +9,9 @@ import numpy as np
 import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
-from support.hostile import hostile, message_readers
+from rclpy.serialization import serialize_message
+from std_msgs.msg import Float64
+from support.hostile import hostile
 
 from tactile_hand_ros.errors import MessageError
 from tactile_hand_ros.ros import messages as c
@@ -17,7 +19,29 @@ from tactile_hand_ros.ros import messages as c
 LAST = 2**31 * 10**9 - 1
 bounded = hostile()
 
-READERS = message_readers()
+FINGERS = ["finger_1", "finger_2", "finger_3"]
+THREE, TURNS = np.array([0.5, -1.0, 2.0]), np.tile([0.0, 0.0, 0.0, 1.0], (3, 1))
+NUMBER = bytes(serialize_message(Float64(data=3.0)))
+JOINTS = c.JointCodec(FINGERS, ("position", "velocity", "effort"))
+EFFORTS, SLIP = c.JointCodec(FINGERS, ("effort",)), c.JointCodec(FINGERS, ("position", "velocity"))
+GRIP, CONTACTS = c.JointCodec(FINGERS), c.ContactsCodec(3)
+FORCE, OPTIMAL = c.WrenchCodec("tip"), c.WrenchCodec("tip", nan_allowed=True)
+READERS = {
+    "joints": (JOINTS.decode, JOINTS.encode(7, THREE, THREE, THREE)),
+    "efforts": (EFFORTS.decode, EFFORTS.encode(7, THREE)),
+    "contacts": (CONTACTS.decode, CONTACTS.encode(np.eye(3), TURNS, 7)),
+    "no contacts": (CONTACTS.decode, CONTACTS.encode(np.nan * np.eye(3), np.nan * TURNS, 7)),
+    "force": (FORCE.decode, FORCE.encode(THREE, 7)),
+    "no force": (OPTIMAL.decode, OPTIMAL.encode(np.nan * THREE, 7)),
+    "force in any frame": (c.WrenchCodec("palm", any_frame=True).decode, FORCE.encode(THREE, 7)),
+    "slip": (SLIP.decode, SLIP.encode(7, THREE, THREE)),
+    "grip": (GRIP.decode, GRIP.encode(7, THREE, THREE, THREE)),
+    "pose": (c.PoseCodec().decode, c.PoseCodec().encode(THREE, TURNS[0], 7)),
+    "push": (c.PushCodec().decode, c.PushCodec().encode(np.arange(6.0), 7)),
+    "number": (lambda data: (0, c.read_number(data)), NUMBER),
+}
+"""Functions that return timestamp [ns] and content, or raise `MessageError`; and valid bytes."""
+
 WORDS = (b"\xff" * 4, b"\xff" * 8, b"\x7f", b"\x80", bytes(4), struct.pack("<d", 1e308))
 words = st.sampled_from([*WORDS, struct.pack("<d", np.nan), struct.pack("<I", 65_536)])
 
