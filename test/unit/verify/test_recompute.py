@@ -4,12 +4,14 @@
 import copy
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from support.messages import force_message, pose_message
+from support.outcomes import run_with
 from support.recorded import (
     PERIOD,
     START,
@@ -34,7 +36,7 @@ from tactile_hand_ros.scenario.scenario import Scenario, load_scenario, resolved
 from tactile_hand_ros.verify.recompute import ShadowLoop, compare, recompute
 from tactile_hand_ros.verify.recorded_inputs import read_inputs
 
-TICKS = 250
+TICKS = 251
 TICK = 2_000_000  # ns
 GRIP = {
     "duration": 0.5,
@@ -55,7 +57,7 @@ def paper() -> tuple[Scenario, Record]:
 def gravity() -> tuple[Scenario, Record]:
     """Return a run with all features of the controllers: cones, observer, reference, user."""
     scenario = load_scenario("user_grip", GRIP)
-    return scenario, ClosedLoop(scenario).run(TICKS)
+    return scenario, ClosedLoop(scenario).run()
 
 
 def write(folder: Path, scenario: Scenario, record: Record, *changes: tuple[int, str, Any]) -> Run:
@@ -189,22 +191,6 @@ def test_run_without_scenario_is_refused(paper, tmp_path):
         recompute(Run(tmp_path))
 
 
-Changes = dict[int, Callable[[ClosedLoop], None]]
-
-
-class Changing(ClosedLoop):
-    """A closed loop whose controllers are changed at some ticks, like nodes by users."""
-
-    def __init__(self, scenario: Scenario, changes: Changes) -> None:
-        super().__init__(scenario)
-        self._changes = changes
-
-    def tick(self, record: Record, row: int) -> None:
-        if row in self._changes:
-            self._changes[row](self)
-        super().tick(record, row)
-
-
 LIVE: dict[str, dict[int, dict[str, Any]]] = {
     "slip_regulator": {60: {"reflex.margin": 0.3}, 180: {"mode": "user", "maximum": 30.0}},
     "force_optimizer": {90: {"weights": [5.0, 1.0, 8.0], "load_memory": 0.7}},
@@ -219,7 +205,7 @@ LIVE: dict[str, dict[int, dict[str, Any]]] = {
 def test_live_parameters_count_from_their_tick_on(tmp_path):
     """All numbers to the bit; without the messages there is a difference."""
     scenario = load_scenario("user_grip", GRIP)
-    changes: Changes = {}
+    loop, changes = ClosedLoop(scenario), {}
     events = []
     for node, rows in LIVE.items():
         values: dict[str, Any] = {}
@@ -227,14 +213,10 @@ def test_live_parameters_count_from_their_tick_on(tmp_path):
             values = {**values, **rows.get(row, {})}
             event = parameter_event(row * TICK, node, values)
             events.append((row, f"{node}/parameters", event))
+        block = getattr(loop, node.rpartition("_")[2])
         for row, live in rows.items():
-
-            def change(loop: ClosedLoop, node: str = node, to: Any = live) -> None:
-                block = getattr(loop, node.rpartition("_")[2])
-                block.configure(block.config.changed(to))
-
-            changes[row] = change
-    record = Changing(scenario, changes).run(TICKS)
+            changes[row] = lambda block=block, to=live: block.configure(block.config.changed(to))
+    record = run_with(loop, changes)
     run = write(tmp_path / "with", scenario, record, *events)
     assert [c for c in recompute(run) if not c.same] == []
     differing = {c.topic for c in recompute(run, "contact") if not c.same}
@@ -259,13 +241,13 @@ CALLS: dict[int, tuple[str, str, Callable[[Controller], None]]] = {
 def test_service_calls_count_from_their_tick_on(tmp_path):
     """A hand that only damps for a while, a reset, fingers that open and close on a new grasp."""
     scenario = load_scenario("user_grip", GRIP | {"gravity": [0.0, 0.0, 0.0]})
-    topic = "manipulation_controller/requests"
+    loop, topic = ClosedLoop(scenario), "manipulation_controller/requests"
     calls = [(120, "slip_regulator/requests", request_message(120 * TICK, "", "reset"))]
-    changes: Changes = {120: lambda loop: loop.regulator.reset()}
+    changes: dict[int, Callable[[], None]] = {120: loop.regulator.reset}
     for row, (name, value, call) in CALLS.items():
         calls.append((row, topic, request_message(row * TICK, "", name, value)))
-        changes[row] = lambda loop, call=call: call(loop.controller)
-    record = Changing(scenario, changes).run(TICKS)
+        changes[row] = partial(call, loop.controller)
+    record = run_with(loop, changes)
     drove = np.isfinite(record.auxiliary_position[:, 0])
     assert not drove[60:90].any() and drove[150:230].all()
     run = write(tmp_path / "with", scenario, record, *calls)
