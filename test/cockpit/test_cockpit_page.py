@@ -132,12 +132,6 @@ def drag(page: Page, *places: tuple[int, int], hold: bool = False) -> None:
     actions.perform()
 
 
-def let_go(page: Page) -> None:
-    actions = ActionChains(page.driver)
-    actions.w3c_actions.pointer_action.pointer_up()
-    actions.perform()
-
-
 def test_it_shows_the_running_hand(page: Page, hand: tuple[Graph, str]) -> None:
     graph, link = hand
     assert page.js("return report.scene.colours()") > 300
@@ -169,7 +163,7 @@ def test_a_pull_slips_and_is_caught(page: Page, hand: tuple[Graph, str]) -> None
     page.wait(lambda: np.linalg.norm(row(page, "push")[:3]) > 2.0)
     assert re.fullmatch(r"\d+\.\d N", page.driver.find_element(By.CLASS_NAME, "force").text)
     page.wait(lambda: page.js("return 'detection' in report.source.status.response"))
-    let_go(page)
+    ActionChains(page.driver).release().perform()
     page.wait(lambda: page.js("return 'stuck' in report.source.status.response"))
     response = page.js("return report.source.status.response")
     # A later event would belong to another slip. How late these come on a busy machine is measured,

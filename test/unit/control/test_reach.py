@@ -310,10 +310,6 @@ def test_fingers_with_joints_to_spare_are_solved_to_the_end(tmp_path):
     assert grasp.can_follow(shift) and grasp.is_in_reach(shift)
 
 
-def along(bench, x):
-    return bench.target(x, 0.0, 0.0)
-
-
 @pytest.fixture
 def bench():
     return Bench()
@@ -322,17 +318,17 @@ def bench():
 def test_a_pose_that_is_said_again_and_again_is_judged_once_until_a_reset(bench, checks):
     bench.step()
     for _ in range(5):
-        bench.controller.targets.command(along(bench, 0.05))
+        bench.controller.targets.command(bench.target(0.05, 0.0, 0.0))
         bench.step()
     assert len(checks) == 1
     turned = bench.target(0.05, 0.0, 0.0, turn=(0.0, 0.0, 0.01))
-    for other in (turned, along(bench, 0.04)):
+    for other in (turned, bench.target(0.04, 0.0, 0.0)):
         bench.controller.targets.command(other)
         bench.step()
     assert len(checks) == 3
     bench.controller.reset()
     bench.step()
-    bench.controller.targets.command(along(bench, 0.04))
+    bench.controller.targets.command(bench.target(0.04, 0.0, 0.0))
     assert len(checks) == 4
 
 
@@ -346,7 +342,7 @@ def test_of_poses_that_came_before_the_first_grasp_only_the_newest_is_judged(ben
 
 def test_a_new_grasp_judges_what_waits_anew(bench, checks):
     bench.step()
-    waiting, again = along(bench, 0.04), along(bench, 0.05)
+    waiting, again = bench.target(0.04, 0.0, 0.0), bench.target(0.05, 0.0, 0.0)
     bench.controller.targets.command(waiting, stamp=4 * TICK)
     bench.step()
     bench.controller.targets.command(again, stamp=9 * TICK)

@@ -31,11 +31,6 @@ LOAD = np.array([[0.02, 0.1, 0.05], [-0.03, 0.1, 0.02], [0.01, 0.0, 0.01]])
 MARGINS = np.array([0.13, 0.13, 0.03])
 
 
-def turned(size, angle):
-    """Return a tangential force of a size and direction, without a normal part."""
-    return np.array([size * math.cos(angle), 0.0, size * math.sin(angle)])
-
-
 def bears(force, friction=0.5, finger=1, load=(0.0, 0.0, 0.0)):
     """Return whether one of three contacts holds a force, next to two that always hold theirs."""
     forces, loads = np.tile([0.0, 1.0, 0.0], (3, 1)), np.zeros((3, 3))
@@ -64,9 +59,10 @@ def test_the_pyramid_has_twelve_sides_and_its_edges_on_the_cone(side, finger):
     """Across a side it reaches cos 15 degrees of mu f_n, along an edge mu f_n itself."""
     cone, normal = 0.5 * 2.0, np.array([0.0, 2.0, 0.0])
     for steps, reach in ((side, cone * math.cos(math.radians(15.0))), (side + 0.5, cone)):
+        angle = math.radians(30.0) * steps
+        tangential = reach * np.array([math.cos(angle), 0.0, math.sin(angle)])
         for share in (0.999, 1.001):
-            force = normal + turned(share * reach, math.radians(30.0) * steps)
-            assert bears(force, finger=finger) == (share < 1.0)
+            assert bears(normal + share * tangential, finger=finger) == (share < 1.0)
 
 
 def test_what_lies_on_a_side_is_borne():
