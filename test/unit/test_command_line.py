@@ -9,20 +9,13 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable
 from typing import Any
+from unittest.mock import Mock
 
 import pytest
 
 from tactile_hand_ros.command_line import Interrupted, Signals, run_command
 from tactile_hand_ros.errors import BagError
-
-
-def failing(error: BaseException) -> Callable[[], Any]:
-    def command() -> None:
-        raise error
-
-    return command
 
 
 def test_what_a_command_returns_is_its_code_if_it_is_a_number():
@@ -41,13 +34,13 @@ def test_what_a_command_returns_is_its_code_if_it_is_a_number():
     ],
 )
 def test_an_error_is_one_sentence(error, code, sentence, capsys):
-    assert run_command("program", failing(error)) == code
+    assert run_command("program", Mock(side_effect=error)) == code
     assert capsys.readouterr() == ("", f"program: {sentence}\n")
 
 
 def test_a_defect_is_not_hidden():
     with pytest.raises(ZeroDivisionError):
-        run_command("program", failing(ZeroDivisionError()))
+        run_command("program", Mock(side_effect=ZeroDivisionError))
 
 
 @pytest.mark.usefixtures("hangups_count")
@@ -138,7 +131,7 @@ def test_output_that_cannot_be_written_is_dropped(
     """The buffer is written at the end, and the interpreter must not try it again."""
     with (tmp_path / "file").open("w") as file:
         monkeypatch.setattr(sys, "stdout", Full(file, error))
-        command = failing(BagError("no bag.")) if is_refused else lambda: None
+        command = Mock(side_effect=BagError("no bag.")) if is_refused else lambda: None
         assert run_command("program", command) == (2 if is_refused else code)
         file.write("lost")
         file.flush()

@@ -5,6 +5,7 @@ import contextlib
 import os
 import threading
 from pathlib import Path
+from unittest.mock import Mock
 
 from tactile_hand_ros.ros.diagnostics import OK, Diagnostics
 from tactile_hand_ros.ros.scheduling import raise_priority, report_scheduling, yield_while_resending
@@ -40,10 +41,7 @@ def test_only_threads_that_resend_make_way_for_all_others():
 
 
 def test_a_thread_that_has_ended_meanwhile_is_no_refusal(monkeypatch):
-    def end(*_: object) -> None:
-        raise ProcessLookupError
-
-    monkeypatch.setattr(os, "sched_setscheduler", end)
+    monkeypatch.setattr(os, "sched_setscheduler", Mock(side_effect=ProcessLookupError))
     raise_priority(5)
     diagnostics = Diagnostics("node")
     report_scheduling(diagnostics)
