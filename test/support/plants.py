@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from support.equations import grasp_map, hand_jacobian
 from support.hands import kinetic_energy, potential_energy
@@ -23,6 +23,14 @@ def plant(step: float = 0.001, **values: Any) -> Plant:
     changes = {"time_step": step, "rate": 1.0 / step, **values}
     changes = {name.replace("__", "."): value for name, value in changes.items()}
     return make_plant(PlantConfig().changed(changes))
+
+
+def after(plant: Plant, ticks: int, torque: ArrayLike = 0.0) -> PlantState:
+    """Advance a plant under a constant torque of the joints and return its state."""
+    torques = np.full(plant.hand.joints, torque)
+    for _ in range(ticks):
+        state = plant.advance(torques)
+    return state
 
 
 def jacobian(plant: Plant, state: PlantState) -> Array:

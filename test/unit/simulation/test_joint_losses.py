@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 from support.hands import prism_grasp, write_hand
-from support.plants import plant
+from support.plants import after, plant
 
 FAR = {"object__position": (0.0, 0.0, 9.0)}
 DOWN = (0.0, 0.0, -9.81)
@@ -38,19 +38,13 @@ def lossy(tmp_path, request):
     return made
 
 
-def driven(world, torque, ticks):
-    for _ in range(ticks):
-        state = world.advance(torque)
-    return state
-
-
 def test_a_damped_joint_reaches_the_speed_at_which_damping_takes_the_torque(lossy):
     """Also with a time constant of a hundredth of a step."""
     for damping, ticks in ((2.0, 400), (1e4, 20)):
         world = lossy(damping, 0.0)
         assert_allclose(world.hand.damping, damping * np.arange(1, 10))
         torque = np.linspace(-0.08, 0.1, 9)
-        state = driven(world, torque, ticks)
+        state = after(world, ticks, torque)
         assert_allclose(state.rates, torque / world.hand.damping, rtol=0.02, atol=1e-9)
 
 
@@ -62,9 +56,9 @@ def test_friction_holds_the_weight_of_a_finger_and_no_more(lossy):
     assert_allclose(limit, 0.001 * np.arange(1, 10))
     creep = CREEP[world.engine]
     signs = np.where(np.arange(9) % 2, -1.0, 1.0)
-    assert abs(driven(world, weight + 0.98 * signs * limit, 500).theta - start).max() < creep
+    assert abs(after(world, 500, weight + 0.98 * signs * limit).theta - start).max() < creep
     more = 0.5 * np.eye(9)[5]
-    moved = driven(world, weight + signs * limit + more, 60)
+    moved = after(world, 60, weight + signs * limit + more)
     turned = moved.theta - start
     assert turned[5] > 0.05 and abs(turned[[0, 1, 2, 6, 7, 8]]).max() < creep
 
@@ -74,15 +68,15 @@ def test_sliding_friction_takes_its_size_from_the_torque_and_ends_at_rest(lossy)
     i, limit = 8, 4.5
     torque = 6.0 * np.eye(9)[i]
     for each, part in ((world, torque), (free, torque - limit * np.eye(9)[i])):
-        state = driven(each, part, 50)
+        state = after(each, 50, part)
         assert state.rates[i] > 3.0
     assert (abs(world.state.theta - 0.3)[:6] < CREEP[world.engine]).all()  # the other fingers
     first = world.state.theta[i]
-    at = driven(world, np.zeros(9), 600)
-    rest = driven(world, np.zeros(9), 200)
+    at = after(world, 600)
+    rest = after(world, 200)
     assert abs(rest.theta - at.theta).max() < 1e-9 and at.theta[i] > first
     world.reset()
-    assert driven(world, torque, 50).theta[i] == first
+    assert after(world, 50, torque).theta[i] == first
 
 
 def test_a_joint_that_follows_resists_through_its_leader(lossy):
@@ -93,8 +87,8 @@ def test_a_joint_that_follows_resists_through_its_leader(lossy):
     assert_allclose(world.hand.friction[2], 0.2 * (3 + 0.5 * 4))
     creep, load = CREEP[world.engine], np.eye(9)[2]
     start = world.state.theta
-    assert abs(driven(world, 0.98 * load, 300).theta - start).max() < creep
-    assert driven(world, 1.1 * load, 300).theta[2] > start[2] + 1e-3
+    assert abs(after(world, 300, 0.98 * load).theta - start).max() < creep
+    assert after(world, 300, 1.1 * load).theta[2] > start[2] + 1e-3
 
 
 @pytest.mark.parametrize("lossy", ["own"], indirect=True)  # tips are stiff in MuJoCo
@@ -106,9 +100,9 @@ def test_joints_that_friction_holds_keep_an_object_without_torque(lossy):
         state = world.state
         tips = world.hand.fingertips(state.theta).linear
         press = np.einsum("kij,ki->j", tips, 8.0 * state.contacts.normals)
-        held = driven(world, press + np.sign(press) * world.hand.friction, 300).forces
+        held = after(world, 300, press + np.sign(press) * world.hand.friction).forces
         assert held[:, 1].min() > 5.0
-        state = driven(world, np.zeros(9), 300)
+        state = after(world, 300)
         tips = world.hand.fingertips(state.theta).linear
         load = np.einsum("kij,kim,km->j", tips, state.contacts.rotations, state.forces)
         assert (np.abs(load) < 1.01 * world.hand.friction).all() and state.contacts.all_touching
@@ -118,6 +112,6 @@ def test_joints_that_friction_holds_keep_an_object_without_torque(lossy):
 
 def test_losses_are_ignored_unless_the_yaml_asks_for_them(lossy):
     ignored, none = lossy(1.0, 2.0, losses="ignore"), lossy(0.0, 0.0)
-    states = [driven(world, 0.3 * np.ones(9), 20) for world in (ignored, none)]
+    states = [after(world, 20, 0.3 * np.ones(9)) for world in (ignored, none)]
     np.testing.assert_array_equal(states[0].theta, states[1].theta)
     assert ignored.hand.damping.any() and not ignored.hand.has_losses

@@ -6,7 +6,7 @@ import sys
 import numpy as np
 import pytest
 from support.hands import prism_grasp, write_hand
-from support.plants import forces_in_palm, holding, plant, squeeze, torque_for
+from support.plants import after, forces_in_palm, holding, plant, squeeze, torque_for
 
 from tactile_hand_ros.errors import DivergedError
 from tactile_hand_ros.extras import MissingLibraryError
@@ -38,8 +38,7 @@ def test_free_bodies_move_as_with_the_own_engine(more):
     push = Disturbance(kind="pulse", force=(0.2, 0.0, 0.1), torque=(0.01, 0.12, 0.02))
     worlds = both(step=0.0005, disturbances=[push], **TILTED, **more)
     torque = np.array([0.3, -0.2, 0.1, 0.0, 0.2, -0.1, 0.1, 0.05, 0.0])
-    for _ in range(300):
-        ours, other = (world.advance(torque) for world in worlds)
+    ours, other = (after(world, 300, torque) for world in worlds)
     assert np.abs(ours.rates).max() > 0.5 and np.abs(ours.spin).max() > 1.0
     for name in ("theta", "rates", "position", "rotation", "velocity", "spin"):
         np.testing.assert_allclose(getattr(other, name), getattr(ours, name), 2e-3, 2e-3)
@@ -50,8 +49,7 @@ def test_joints_that_follow_move_as_with_the_own_engine(tmp_path):
     hand = str(write_hand(tmp_path, [4, 3, 3], couplings=COUPLED))
     start = {"hand": hand, "initial_joints": [0.3, 0.1, 0.4, 0.2, 0.3, 0.5, 0.2, 0.7]}
     worlds = both(**start, **TILTED)
-    for _ in range(200):
-        ours, other = (world.advance(np.zeros(8)) for world in worlds)
+    ours, other = (after(world, 200) for world in worlds)
     assert np.abs(ours.rates).max() > 0.5
     np.testing.assert_allclose(other.theta, ours.theta, 2e-3, 2e-3)
 
@@ -103,8 +101,7 @@ def test_a_polyhedron_is_touched_where_it_is_with_the_own_engine(tmp_path):
     values = {k.removeprefix("plant."): v for k, v in changes.items()}
     worlds = both(**values, object__mass=0.3, object__rotation=(0.0, 0.0, 0.02))
     torques = [torque_for(world, 5.0 * world.state.contacts.normals) for world in worlds]
-    for _ in range(30):
-        ours, other = (w.advance(t) for w, t in zip(worlds, torques, strict=True))
+    ours, other = (after(w, 30, t) for w, t in zip(worlds, torques, strict=True))
     assert ours.forces[:, 1].min() > 1.0 and np.abs(ours.spin).max() > 1e-3
     np.testing.assert_allclose(other.forces, ours.forces, atol=0.05)
     np.testing.assert_allclose(other.rotation, ours.rotation, atol=1e-5)
@@ -116,7 +113,7 @@ def test_a_reset_starts_the_same_run_with_the_same_bits():
     runs = []
     for _ in range(2):
         world.reset()
-        runs.append([world.advance(torque) for _ in range(50)][-1])
+        runs.append(after(world, 50, torque))
     for name in ("theta", "position", "forces"):
         np.testing.assert_array_equal(*(getattr(run, name) for run in runs))
 
@@ -126,8 +123,7 @@ def test_a_joint_stops_at_its_limit_and_a_simulation_that_diverges_says_so(tmp_p
     hand = str(write_hand(tmp_path, [3, 3, 3], limits={"f1_joint_1": {"upper": 0.5}}))
     world = plant(engine="mujoco", hand=hand, initial_joints=[0.3, 0.0, 0.5], **FAR)
     pushed = np.eye(9)[0]
-    for _ in range(500):
-        state = world.advance(pushed)
+    state = after(world, 500, pushed)
     assert state.theta[0] == pytest.approx(0.5, abs=1e-4) and abs(state.rates[0]) < 1e-4
     with pytest.raises(DivergedError, match="has diverged"):
         world.advance(np.full(9, np.nan))
@@ -148,8 +144,7 @@ def test_a_missing_library_is_named_with_its_package(monkeypatch):
 def test_round_objects_are_pressed_as_with_the_own_engine(shape, size):
     worlds = both(object__shape=shape, object__size=size, object__mass=0.2, object__inertia=())
     torque = torque_for(worlds[0], squeeze(worlds[0].state, 10.0))
-    for _ in range(50):
-        ours, other = (world.advance(torque) for world in worlds)
+    ours, other = (after(world, 50, torque) for world in worlds)
     np.testing.assert_allclose(other.forces, ours.forces, rtol=0.02, atol=0.1)
     np.testing.assert_allclose(other.position, ours.position, atol=1e-4)
     assert other.forces[:, 1].min() > 1.0

@@ -5,7 +5,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from numpy.testing import assert_allclose
-from support.plants import plant
+from support.plants import after, plant
 
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
 from tactile_hand_ros.errors import ConfigurationError
@@ -104,9 +104,8 @@ def test_a_free_body_stays_where_it_is_while_the_palm_turns_to_second_order():
 
     def error(step):
         world = plant(step, object__position=(0.3, 0.2, 2.0), palm_motion=way)
-        for _ in range(round(0.4 / step)):
-            state = world.advance(np.zeros(9))
-        return np.linalg.norm(palm_turning(turns, 0.4).rotation @ state.position - [0.3, 0.2, 2.0])
+        position = after(world, round(0.4 / step)).position
+        return np.linalg.norm(palm_turning(turns, 0.4).rotation @ position - [0.3, 0.2, 2.0])
 
     coarse, fine = error(2e-3), error(1e-3)
     assert fine < 2e-4 and coarse / fine == pytest.approx(4.0, rel=0.1)
@@ -150,8 +149,7 @@ def test_a_palm_follows_a_user_within_a_second_and_its_hand_knows():
     config = load_scenario("hold", {"plant.palm_motion": [{"time": 0.0, "rotation": [0.0] * 3}]})
     plant = Plant(config.plant)
     plant.configure(config.plant.changed({"palm_turn": (1.2, 0.3, 0.0)}))
-    for _ in range(round(1.2 * config.plant.rate)):
-        state = plant.advance(np.zeros(plant.hand.joints))
+    state = after(plant, round(1.2 * config.plant.rate))
     goal = rotation_from_vector([1.2, 0.3, 0.0])
     assert_allclose(rotation_from_quaternion(state.palm), goal, atol=0.03)
     assert_allclose(plant.model.gravity, goal.T @ np.array(config.plant.gravity), atol=0.3)

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from support.hands import tip_rotations
 from support.plants import (
+    after,
     energy_of,
     forces_in_palm,
     holding,
@@ -71,8 +72,7 @@ def test_a_stuck_grasp_neither_gains_nor_loses_energy(shape):
     for step in (0.002, 0.001, 0.0005):
         world = plant(step, object__mass=0.2, gravity=(0.0, 0.0, -1.0), object__shape=shape)
         torque, start, before = torque_for(world, PUSHES), world.state.theta, energy_of(world)
-        for _ in range(round(0.25 / step)):
-            state = world.advance(torque)
+        state = after(world, round(0.25 / step), torque)
         assert state.contacts.touching.all() and not (np.abs(state.sliding) > 1e-9).any()
         assert np.linalg.norm(state.position - [0.0, 0.0, 0.4098]) > 0.005
         work = torque @ (state.theta - start)
@@ -127,9 +127,9 @@ def test_contacts_roll_equally_far_over_tip_and_object(shape):
     arcs = np.zeros((2, 3))
     before = on_both(world.state)
     for _ in range(500):
-        after = on_both(world.advance(torque))
-        arcs += [np.linalg.norm(b - a, axis=1) for a, b in zip(before, after, strict=True)]
-        before = after
+        now = on_both(world.advance(torque))
+        arcs += [np.linalg.norm(b - a, axis=1) for a, b in zip(before, now, strict=True)]
+        before = now
     assert arcs.max() > 0.005
     # Their difference is `slid`, of second order in the step.
     np.testing.assert_allclose(arcs[0], arcs[1], rtol=1e-4)
@@ -154,9 +154,7 @@ def test_at_rest_a_soft_tip_is_indented_by_compliance_times_force():
 def carried_by(compliance):
     """Return a plant whose object was pushed through the palm for 0.25 s, without slip."""
     world = plant(object__mass=0.2, gravity=(0.0, 0.0, -1.0), contact__compliance=compliance)
-    torque = torque_for(world, PUSHES)
-    for _ in range(250):
-        world.advance(torque)
+    after(world, 250, torque_for(world, PUSHES))
     return world
 
 
