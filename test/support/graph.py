@@ -25,7 +25,7 @@ from std_srvs.srv import SetBool, Trigger
 from bench.processes import CapturedProcess, parameter_files, start_executable
 from bench.wire import each_tick
 from support.messages import pose_message, stamp_to_ns
-from support.spinning import spinning
+from support.nodes import spinning
 from tactile_hand_ros import names
 from tactile_hand_ros.compiled import Array
 from tactile_hand_ros.config.hand_config import load_hand_config

@@ -2,6 +2,7 @@
 """Nodes in the process of the test, and a user that sends and receives."""
 
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from typing import Any
 
@@ -101,6 +102,21 @@ def process() -> Iterator[Process]:
             yield made
         finally:
             made.close()
+
+
+@contextmanager
+def spinning(*nodes: Node) -> Iterator[None]:
+    """Serve nodes in a thread that is joined at the end; raise its exceptions here."""
+    executor = WaitSetExecutor(context=nodes[0].context)
+    for node in nodes:
+        executor.add_node(node)
+    with ThreadPoolExecutor(1) as pool:
+        served = pool.submit(executor.spin)
+        try:
+            yield
+        finally:
+            executor.shutdown()
+            served.result()
 
 
 def tapped(node: Any) -> dict[str, list[bytes]]:

@@ -6,7 +6,7 @@ from typing import Any
 
 from rclpy.node import Node
 from std_srvs.srv import Trigger
-from support.spinning import spinning
+from support.nodes import spinning
 
 from bench.processes import isolated_domain
 from studies.faults import running_hand as module

@@ -18,7 +18,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64
 from std_srvs.srv import SetBool, Trigger
 from support.messages import force_message, pose_message, stamp_to_ns
-from support.spinning import spinning
+from support.nodes import spinning
 
 from bench.processes import isolated_domain
 from tactile_hand_ros import names

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Ticks are complete, ordered, of one timestamp; slow nodes catch up; two senders are detected."""
 
+import itertools
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -15,17 +17,11 @@ MS = 1_000_000
 def interleavings(draw):
     """Streams that are each in order but arrive interleaved; some messages are lost."""
     count = draw(st.integers(1, 12))
-    streams = {key: list(range(count)) for key in KEYS}
-    for key in KEYS:
-        lost = draw(st.sets(st.integers(0, count - 1), max_size=3))
-        streams[key] = [stamp for stamp in streams[key] if stamp not in lost]
+    lost = st.sets(st.integers(0, count - 1), max_size=3)
+    streams = {key: sorted(set(range(count)) - draw(lost)) for key in KEYS}
     order = draw(st.permutations([key for key in KEYS for _ in streams[key]]))
-    positions = dict.fromkeys(KEYS, 0)
-    arrivals = []
-    for key in order:
-        arrivals.append((key, streams[key][positions[key]]))
-        positions[key] += 1
-    return streams, arrivals
+    rest = {key: iter(stream) for key, stream in streams.items()}
+    return streams, [(key, next(rest[key])) for key in order]
 
 
 @given(interleavings())
@@ -85,13 +81,11 @@ def test_just_so_many_incomplete_stamps_are_kept_and_the_first_to_come_goes_firs
     assert list(matcher.pending) == [0, 1, 2000]
 
 
-def batches(stamps: list[int], sizes: list[int]) -> list[list[int]]:
+def batches(ticks: list[int], sizes: list[int]) -> list[list[int]]:
     """Cut the input into the batches that a slow node finds."""
-    out, at = [], 0
-    while at < len(stamps):
-        size = sizes[len(out) % len(sizes)]
-        out.append(stamps[at : at + size])
-        at += size
+    rest, lengths, out = iter(ticks), itertools.cycle(sizes), []
+    while batch := list(itertools.islice(rest, next(lengths))):
+        out.append(batch)
     return out
 
 
@@ -115,13 +109,12 @@ SIZES = st.lists(st.integers(1, 12), min_size=1, max_size=8)
 
 @given(st.integers(0, 10**5), SIZES, SIZES, st.integers(1, 10))
 def test_slow_nodes_meet_however_they_lag(first, one, other, period):
-    stamps = [(first + period * i) * MS for i in range(500)]
+    ticks = [first + period * i for i in range(500)]
     lag = period * max(*one, *other)  # of the oldest waiting tick, plus one period
-    stretch = (1 << lag.bit_length()) * MS
-    firsts = {min(t for t in stamps if t // stretch == s) for s in {t // stretch for t in stamps}}
+    stretch = 1 << lag.bit_length()
+    firsts = {min(t for t in ticks if t // stretch == s) for s in {t // stretch for t in ticks}}
     for sizes in (one, other):
-        given = answered([[t // MS for t in batch] for batch in batches(stamps, sizes)])
-        assert firsts <= {tick * MS for batch in given for tick in batch}
+        assert firsts <= {tick for batch in answered(batches(ticks, sizes)) for tick in batch}
 
 
 class Topic:
