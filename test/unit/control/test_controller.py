@@ -488,16 +488,23 @@ def test_a_release_starts_at_the_posture_of_the_grasp_without_its_grasp_force(be
     np.testing.assert_allclose(silent.torque, REST, atol=1e-4)
 
 
-def test_a_release_starts_at_the_present_posture_after_a_user_has_moved_the_fingers(bench):
+@pytest.mark.parametrize("opens", [False, True])
+def test_fingers_open_from_where_a_user_has_moved_them_while_disabled(bench, opens):
+    """They do not spring back, whether they were released before that or are released then."""
     bench.step(20)
+    if opens:
+        bench.controller.release()
+        bench.step(5)
     bench.controller.enabled = False
     there = bench.theta + np.linspace(-0.2, 0.3, 9)
     bench.step(theta=there)
     bench.controller.enabled = True
-    bench.controller.release()
+    if not opens:
+        bench.controller.release()
     first = bench.step(theta=there)
     assert first.mode is Mode.OPEN
     np.testing.assert_allclose(first.torque, REST, atol=1e-4)
+    assert 0.0 < np.abs(bench.step(10, theta=there).torque).max() < 0.5
 
 
 def test_fingers_open_at_their_speed_and_make_up_for_no_more_than_50_ms(bench):
@@ -535,20 +542,6 @@ def test_an_interruption_of_the_opening_is_not_made_up_for():
     bench.step()
     bench.controller.release()
     np.testing.assert_allclose(bench.step().torque, REST, atol=1e-4)
-
-
-def test_open_fingers_that_were_moved_while_disabled_do_not_spring_back(bench):
-    bench.step()
-    bench.controller.release()
-    bench.step(5)
-    bench.controller.enabled = False
-    there = bench.theta + np.linspace(-0.2, 0.3, 9)
-    bench.step(theta=there)
-    bench.controller.enabled = True
-    first = bench.step(theta=there)
-    assert first.mode is Mode.OPEN
-    np.testing.assert_allclose(first.torque, REST, atol=1e-4)
-    assert 0.0 < np.abs(bench.step(10, theta=there).torque).max() < 0.5
 
 
 @pytest.mark.parametrize("values", [{"law__integral__k_p": 20.0}, {"reference_time": 0.1}])
