@@ -4,6 +4,8 @@
 The cost counts in evaluated postures, because a pose is judged within a tick.
 """
 
+from unittest.mock import Mock
+
 import numpy as np
 import pytest
 from support.controllers import TICK, Bench
@@ -224,15 +226,10 @@ def looks(monkeypatch):
 
 @pytest.fixture
 def checks(monkeypatch):
-    """Return a list that collects each pose whose reach the controller has checked."""
-    judged = []
-
-    def counted(hand, theta, contacts, pose, target):
-        judged.append(target)
-        check_reach(hand, theta, contacts, pose, target)
-
+    """Return a mock that counts the poses whose reach the controller has checked."""
+    counted = Mock(wraps=check_reach)
     monkeypatch.setattr("tactile_hand_ros.control.targets.check_reach", counted)
-    return judged
+    return counted
 
 
 class Grasp:
@@ -320,16 +317,16 @@ def test_a_pose_that_is_said_again_and_again_is_judged_once_until_a_reset(bench,
     for _ in range(5):
         bench.controller.targets.command(bench.target(0.05, 0.0, 0.0))
         bench.step()
-    assert len(checks) == 1
+    assert checks.call_count == 1
     turned = bench.target(0.05, 0.0, 0.0, turn=(0.0, 0.0, 0.01))
     for other in (turned, bench.target(0.04, 0.0, 0.0)):
         bench.controller.targets.command(other)
         bench.step()
-    assert len(checks) == 3
+    assert checks.call_count == 3
     bench.controller.reset()
     bench.step()
     bench.controller.targets.command(bench.target(0.04, 0.0, 0.0))
-    assert len(checks) == 4
+    assert checks.call_count == 4
 
 
 def test_of_poses_that_came_before_the_first_grasp_only_the_newest_is_judged(bench, checks):
@@ -337,7 +334,7 @@ def test_of_poses_that_came_before_the_first_grasp_only_the_newest_is_judged(ben
         bench.controller.targets.command(bench.target(*shift))
     command = bench.step()
     assert command.mode is Mode.DRIVE and "out of reach" in command.reason
-    assert bench.step().reason == "" and bench.shift[0] == 0.0 and len(checks) == 1
+    assert bench.step().reason == "" and bench.shift[0] == 0.0 and checks.call_count == 1
 
 
 def test_a_new_grasp_judges_what_waits_anew(bench, checks):
@@ -350,8 +347,9 @@ def test_a_new_grasp_judges_what_waits_anew(bench, checks):
     bench.step()
     bench.controller.grasp()
     bench.step()
-    assert not bench.controller.is_open and len(checks) == 2
+    assert not bench.controller.is_open and checks.call_count == 2
     bench.controller.targets.command(again, stamp=8 * TICK)
     bench.step(3)
-    assert [id(target) for target in checks[2:]] == [id(again), id(waiting)]
+    later = [call.args[-1] for call in checks.call_args_list[2:]]
+    assert [id(target) for target in later] == [id(again), id(waiting)]
     assert bench.shift[0] == pytest.approx(0.04)
