@@ -8,9 +8,10 @@ import functools
 
 import numpy as np
 import pytest
-from support.outcomes import run_scenario, with_failing_skin
+from support.outcomes import with_failing_skin
 
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
+from tactile_hand_ros.front_door import simulate
 from tactile_hand_ros.scenario.scenario import load_scenario
 
 CASES = {  # scenario, finger, fault, its start and the end of the run, s
@@ -73,7 +74,7 @@ def test_the_hand_moves_on_and_knows_where():
 @pytest.mark.parametrize("name", OLD)
 def test_light_fingers_hold_with_old_touch(name):
     """With contacts as old as their samples, they swing and throw the object away."""
-    record = run_scenario(*OLD[name])
+    record = simulate(*OLD[name]).record
     assert np.isfinite(record.true_positions[-1]).all()
     assert record.true_slid[-1].max() < 1e-3
     swings = np.ptp(record.object_position[-200:], axis=0)

@@ -3,8 +3,8 @@
 
 import numpy as np
 import pytest
+from support.outcomes import watched
 
-from studies.stalls import GuardedLoop, Watch
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
 from tactile_hand_ros.config.hand_config import DriverConfig
 from tactile_hand_ros.control.driver_output import DriverOutput
@@ -72,9 +72,8 @@ def test_servos_of_unknown_strength_press_with_the_wanted_force_and_hold(strengt
 
 
 def test_a_second_without_commands_around_the_pull_costs_no_object():
-    guarded = GuardedLoop(load_scenario("ability"))
-    guarded.run(PULL - 0.5)
-    at, watch = guarded.loop.state.position, Watch(guarded)
+    guarded, watch = watched(load_scenario("ability"), PULL - 0.5)
+    at = guarded.loop.state.position
     watch.run(1.0, answers=False)
     watch.run(1.0)
     state = guarded.loop.state

@@ -5,12 +5,13 @@ import functools
 
 import numpy as np
 import pytest
-from support.outcomes import can_be_held, run_scenario
+from support.outcomes import can_be_held
 
 from studies.slip.minimum import minimum_against
 from studies.slip.study import SLIDING
 from tactile_hand_ros.control.contact import Contacts
 from tactile_hand_ros.control.slip.detector import ContactState
+from tactile_hand_ros.front_door import simulate
 from tactile_hand_ros.hand.hand import Hand
 from tactile_hand_ros.run.derived import rotation_error
 from tactile_hand_ros.scenario.scenario import load_scenario
@@ -44,7 +45,7 @@ def changes_of(name, is_on=True):
 @functools.cache
 def record_of(name, is_on=True):
     """Return the record of a scenario with slip prevention, or without."""
-    return run_scenario(name, changes_of(name, is_on))
+    return simulate(name, changes_of(name, is_on)).record
 
 
 def slip(record):
@@ -193,6 +194,6 @@ def test_a_swinging_load_is_held_by_a_shape_for_all_of_it(axis, least, most):
         "plant.disturbances": [{**swing, "force": force}],
         "slip_regulator.friction.prior": 0.8,
     }
-    record = run_scenario("gravity", changes)
+    record = simulate("gravity", changes).record
     assert least < record.grasp_force[800:].max() < most
     assert slip(record) < 1e-4

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Run scenarios in-process, whole or with a failing skin, and judge whether they could be held."""
+"""Run scenarios with events, failing skins or a guard, and judge whether they could be held."""
 
 from collections.abc import Callable
 from typing import Any
@@ -7,16 +7,12 @@ from typing import Any
 import numpy as np
 
 from studies.slip.minimum import minimum_at
+from studies.stalls import GuardedLoop, Watch
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
 from tactile_hand_ros.closed_loop.record import Record
-from tactile_hand_ros.scenario.scenario import Scenario, load_scenario
+from tactile_hand_ros.scenario.scenario import Scenario
 
 _STEP = 0.05  # s between checked instants, besides the starts of loads
-
-
-def run_scenario(name: str, changes: dict) -> Record:
-    """Return the record of a scenario with some values changed."""
-    return ClosedLoop(load_scenario(name, changes)).run()
 
 
 def with_failing_skin(loop: ClosedLoop, finger: int, fault: str, first: int) -> Record:
@@ -36,6 +32,13 @@ def run_with(loop: ClosedLoop, events: dict[int, Callable[[], Any]]) -> Record:
             events[row]()
         loop.tick(record, row)
     return record
+
+
+def watched(scenario: Scenario, after: float, **how: Any) -> tuple[GuardedLoop, Watch]:
+    """Run a guarded loop for some time, s, and return it with a watch from then on."""
+    guarded = GuardedLoop(scenario, **how)
+    guarded.run(after)
+    return guarded, Watch(guarded)
 
 
 def can_be_held(record: Record, scenario: Scenario) -> bool:

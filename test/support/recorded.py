@@ -37,23 +37,17 @@ ON_TOPICS = (
 LATENCY = 1_000_000  # from a tick to its command, ns
 
 
-class RunWriter:
+class RunWriter(BagWriter):
     """Writes messages by topic in any order; the topic's first message gives its type."""
 
     def __init__(self, folder: Path, custom_data: dict[str, str] | None = None) -> None:
-        self.bag = BagWriter(folder, custom_data=custom_data or {})
+        super().__init__(folder, custom_data=custom_data or {})
         self.channels: dict[str, int] = {}
 
-    def write(self, topic: str, content: Any, log_time: int) -> None:
+    def write(self, topic: str, content: Any, log_time: int) -> None:  # type: ignore[override]
         if topic not in self.channels:
-            self.channels[topic] = self.bag.add_channel(topic, type_name(content))
-        self.bag.write(self.channels[topic], serialized(content), log_time, log_time)
-
-    def __enter__(self) -> "RunWriter":
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.bag.close()
+            self.channels[topic] = self.add_channel(topic, type_name(content))
+        super().write(self.channels[topic], serialized(content), log_time, log_time)
 
 
 def parameter_event(stamp: int, node: str, values: dict[str, Any]) -> ParameterEvent:

@@ -2,8 +2,8 @@
 """What commands that stop do to an object, with the guard and without it."""
 
 import pytest
+from support.outcomes import watched
 
-from studies.stalls import GuardedLoop, Watch
 from tactile_hand_ros.scenario.scenario import load_scenario
 
 
@@ -24,9 +24,7 @@ SCENARIOS = {
 
 def stalled(name: str, seconds: float, *, guarded: bool = True):
     """Return the outcome of a stall that begins at 0.3 s and its loop."""
-    loop = GuardedLoop(SCENARIOS[name], guarded=guarded)
-    loop.run(0.3)
-    watch = Watch(loop)
+    loop, watch = watched(SCENARIOS[name], 0.3, guarded=guarded)
     watch.run(seconds, answers=False)
     return watch, loop
 
@@ -55,8 +53,6 @@ def test_a_stall_shorter_than_the_age_limit_changes_nothing():
 
 
 def test_commands_that_are_always_late_let_the_hand_stand_still():
-    guarded = GuardedLoop(SCENARIOS["moving"])
-    guarded.run(0.3)
-    watch = Watch(guarded)
+    guarded, watch = watched(SCENARIOS["moving"], 0.3)
     watch.run(0.5, answers=True, delay=4)
     assert guarded.guard.reason and not watch.is_lost and watch.moved < 0.003

@@ -9,10 +9,10 @@ from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from numpy.testing import assert_allclose
+from support.outcomes import watched
 
 from studies.faults.situations import SITUATIONS, scenario
 from studies.invariance import resized
-from studies.stalls import GuardedLoop, Watch
 from tactile_hand_ros.control import command_guard
 from tactile_hand_ros.control.holds import (
     GraspTorque,
@@ -201,20 +201,17 @@ def scaled(folder, scale, mass):
     moment=st.floats(0.3, 0.6),
 )
 def test_hands_of_any_size_keep_the_object_while_commands_stop(tmp_path, scale, mass, moment):
-    guarded = GuardedLoop(scaled(tmp_path, scale, mass))
-    guarded.run(moment)
-    watch = Watch(guarded)
+    _, watch = watched(scaled(tmp_path, scale, mass), moment)
     watch.run(1.0, answers=False)
     assert not watch.is_lost and watch.moved < 3e-3
 
 
-def held_late(guarded, seconds):
+def held_late(guarded, watch, seconds):
     """Hold from now on with torques three ticks late, and return what was watched."""
     controller = guarded.loop.controller
     controller.step = lambda stamp, joints, *_: controller.hold(
         joints._replace(applied=None), "silence", stamp=stamp
     )
-    watch = Watch(guarded)
     watch.run(seconds, answers=True, delay=3)
     assert guarded.loop.state.contacts.all_touching
     return watch
@@ -225,30 +222,27 @@ def test_a_grasp_that_the_controller_could_not_hold_is_warned_of_and_only_that(
     tmp_path, mass, warns
 ):
     """At 1 kHz with torques three ticks late, 10 g per link are enough, 4 g are not."""
-    guarded = GuardedLoop(scaled(tmp_path, 0.25, mass))
-    guarded.run(0.5)
+    guarded, watch = watched(scaled(tmp_path, 0.25, mass), 0.5)
     warning = guarded.loop.controller.warning
     assert bool(warning) == warns
     if warns:
         assert "would buckle: at 1000 Hz the hold has a bandwidth of 125 rad/s" in warning
     else:
-        assert held_late(guarded, 1.0).moved < 3e-3
+        assert held_late(guarded, watch, 1.0).moved < 3e-3
 
 
 @pytest.mark.parametrize(("situation", "farthest"), [("heavy", 5e-3), ("moving", 4e-3)])
 def test_holds_what_is_heavy_and_what_moves_also_with_torques_three_ticks_late(situation, farthest):
     """At 250 Hz; a spring that is too soft gives way to the load."""
-    guarded = GuardedLoop(scenario(situation, "processes"))
-    guarded.run(SITUATIONS[situation].time + 0.1)
-    assert held_late(guarded, 2.0).moved < farthest
+    late = watched(scenario(situation, "processes"), SITUATIONS[situation].time + 0.1)
+    assert held_late(*late, 2.0).moved < farthest
 
 
 @pytest.mark.parametrize("late", ["2", "3", "012"])
 def test_light_fingers_are_held_where_late_commands_cannot_drive_them(late):
     """A pull of 4 N at 250 Hz: torques two ticks late would shake the object out of the hand."""
-    guarded, chance = GuardedLoop(scenario("human, pulled", "processes")), random.Random(3)
-    guarded.run(0.3)
-    watch = Watch(guarded)
+    guarded, watch = watched(scenario("human, pulled", "processes"), 0.3)
+    chance = random.Random(3)
     for _ in range(500):
         watch.run(1.0 / guarded.rate, delay=int(chance.choice(late)))
     assert guarded.guard.holds[command_guard.LATE] and not watch.is_lost
@@ -257,8 +251,6 @@ def test_light_fingers_are_held_where_late_commands_cannot_drive_them(late):
 
 def test_a_hold_that_begins_with_the_grasp_keeps_a_load_that_comes_on():
     """Forces of constant direction would turn an object that has turned out of the fingers."""
-    guarded = GuardedLoop(scenario("human, pulled", "processes"))
-    guarded.run(0.02)
-    watch = Watch(guarded)
+    _, watch = watched(scenario("human, pulled", "processes"), 0.02)
     watch.run(1.5, answers=False)
     assert not watch.is_lost and watch.slid < 1e-4 and watch.moved < 0.01

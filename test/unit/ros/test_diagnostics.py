@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """A node reports its worst present state, and recovers."""
 
+from types import SimpleNamespace
+
 import pytest
 
 from tactile_hand_ros.ros.diagnostics import (
@@ -14,21 +16,14 @@ from tactile_hand_ros.ros.diagnostics import (
 )
 
 
-class Clock:
-    now = 100.0
-
-    def __call__(self):
-        return self.now
-
-
 @pytest.fixture
 def clock():
-    return Clock()
+    return SimpleNamespace(now=100.0)
 
 
 @pytest.fixture
 def diagnostics(clock):
-    return Diagnostics("/left/plant", clock)
+    return Diagnostics("/left/plant", lambda: clock.now)
 
 
 def values(status):

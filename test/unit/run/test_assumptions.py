@@ -6,13 +6,13 @@ import copy
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from support.outcomes import run_scenario
 from support.plants import plant
 
 from tactile_hand_ros.closed_loop.record import Record
 from tactile_hand_ros.control.contact import Contacts
 from tactile_hand_ros.control.margins import GraspMonitor
 from tactile_hand_ros.control.optimizer.force_optimizer import ForceOptimizer, ForceOptimizerConfig
+from tactile_hand_ros.front_door import simulate
 from tactile_hand_ros.hand.hand import Hand
 from tactile_hand_ros.run.assumptions import assumptions
 
@@ -22,7 +22,7 @@ UNKNOWN, STICK, SLIP = 0, 1, 2
 
 @pytest.fixture(scope="module")
 def paper():
-    return run_scenario("paper", {"duration": 1.0})
+    return simulate("paper", {"duration": 1.0}).record
 
 
 @pytest.fixture

@@ -203,7 +203,7 @@ class TestFolders:
         with pytest.raises(BagError, match="has no folder bag/"):
             Run(tmp_path)
         with RunWriter(tmp_path / "bag") as bag:
-            bag.bag.add_channel("/joint_states", "sensor_msgs/msg/JointState")
+            bag.add_channel("/joint_states", "sensor_msgs/msg/JointState")
         with pytest.raises(BagError, match="contains no ticks"):
             Run(tmp_path / "bag")
 
