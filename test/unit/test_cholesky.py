@@ -3,6 +3,7 @@
 
 import numpy as np
 import pytest
+from scipy.linalg import block_diag
 
 from tactile_hand_ros.cholesky import factorize, substitute
 from tactile_hand_ros.hand.hand import mirrored
@@ -11,13 +12,9 @@ from tactile_hand_ros.hand.hand import mirrored
 @pytest.mark.parametrize("fingers", [[9], [3, 3, 3], [3, 5, 4, 1]])
 def test_it_solves_for_every_column(fingers):
     random = np.random.default_rng(0)
-    m = sum(fingers)
-    inertia, at = np.zeros((m, m)), 0
-    for joints in fingers:
-        root = random.standard_normal((joints, joints))
-        inertia[at : at + joints, at : at + joints] = root @ root.T + 0.1 * np.eye(joints)
-        at += joints
-    right = random.standard_normal((m, m + 2))
+    roots = [random.standard_normal((joints, joints)) for joints in fingers]
+    inertia = block_diag(*(root @ root.T + 0.1 * np.eye(len(root)) for root in roots))
+    right = random.standard_normal((len(inertia), len(inertia) + 2))
     expected = np.linalg.solve(inertia, right)
     found = right.copy()
     factor, regular = factorize(np.triu(inertia))  # only the upper triangle is used

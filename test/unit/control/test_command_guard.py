@@ -337,9 +337,8 @@ def test_commands_may_be_as_late_on_average_as_the_grasp_bears(force, finger):
         made = CommandGuard(GuardConfig(age_limit=9), human, tick)
         for i in range(200):
             late = round((mean + swing * (-1.0) ** i) * oldest)
-            made.step(
-                10**9 + i * tick, theta, STILL, TorqueCommand(10**9 + i * tick - late, torque)
-            )
+            now = 10**9 + i * tick
+            made.step(now, theta, STILL, TorqueCommand(now - late, torque))
         assert made.reason == reason and made.holds[command_guard.LATE] == (not swing)
 
 

@@ -16,8 +16,7 @@ AWAY = np.array([0.01, -0.02, 0.015, 0.0, 0.01, -0.01, 0.02, 0.0, -0.015])  # ra
 
 
 def gripping(**values):
-    off = {"law__k_p": 0.0, "law__k_o": 0.0, "law__damping": 0.0, "law__name": "grip"}
-    return Bench(**off, **values)
+    return Bench(law__name="grip", law__k_p=0.0, law__k_o=0.0, law__damping=0.0, **values)
 
 
 def normal(bench, missing=0.0):

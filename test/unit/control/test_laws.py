@@ -8,9 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from support.equations import grasp_map, hand_jacobian, rotation_error
-from support.grasps import FORCES, balance_in_frames
+from support.grasps import FORCES, balance_in_frames, contacts_at
 
-from tactile_hand_ros.control.contact import Contacts, contact_frame
 from tactile_hand_ros.control.laws import (
     LAWS,
     FittedGains,
@@ -43,8 +42,7 @@ class Grip:
         inward = np.array([[-1.0, 0, 0], [1.0, 0, 0], [0, -1.0, 0]])
         normals = inward + random.uniform(-0.3, 0.3, (3, 3))
         normals /= np.linalg.norm(normals, axis=1)[:, None]
-        frames = np.array([contact_frame(n) for n in normals])
-        self.contacts = Contacts(self.tips.positions + RADII[:, None] * normals, frames)
+        self.contacts = contacts_at(self.tips.positions + RADII[:, None] * normals, normals)
         self.optimal = ForceOptimizer(ForceOptimizerConfig(), 3).solve(self.contacts).forces
         self.jacobian = hand_jacobian(*self.tips, self.contacts.positions)
         turn = rotation_from_vector(random.uniform(-0.5, 0.5, 3))

@@ -4,11 +4,11 @@
 import numpy as np
 import pytest
 from support.equations import hand_jacobian
+from support.grasps import contacts_at
 from support.hands import write_hand
 from support.plants import plant
 
 from tactile_hand_ros.config.hand_config import load_hand_config
-from tactile_hand_ros.control.contact import Contacts, contact_frame
 from tactile_hand_ros.control.margins import REACTION, GraspMonitor, SlipMonitor, angles_between
 from tactile_hand_ros.control.slip.detector import ContactState
 from tactile_hand_ros.hand.hand import Hand
@@ -45,8 +45,7 @@ def leaning(hand, theta, angles):
     local = np.cos(angles)[:, None] * [1.0, 0.0, 0.0] + np.sin(angles)[:, None] * sides
     tips, centers = hand.tip_rotations(theta), hand.tip_positions(theta)
     normals = np.array([tip @ n for tip, n in zip(tips, local, strict=True)])
-    frames = np.array([contact_frame(n) for n in normals])
-    return Contacts(centers + RADII[:, None] * normals, frames)
+    return contacts_at(centers + RADII[:, None] * normals, normals)
 
 
 def test_the_papers_grasp_is_far_from_every_edge():
@@ -100,10 +99,10 @@ def test_travel_counts_from_the_first_contacts_until_one_is_lost(hand):
 
 def test_of_four_fingers_three_are_watched_while_one_is_missing(tmp_path):
     hand = Hand.load(str(write_hand(tmp_path, [3, 4, 3, 3])))
-    theta, axis = 0.5 + 0.03 * np.arange(hand.joints), np.array([1.0, 0.0, 0.0])
-    frames = np.array([contact_frame(tip @ axis) for tip in hand.tip_rotations(theta)])
-    points = hand.tip_positions(theta) + hand.radii[:, None] * frames[:, :, 1]
-    whole, touching = Contacts(points, frames), np.arange(4) != 1
+    theta = 0.5 + 0.03 * np.arange(hand.joints)
+    normals = hand.tip_rotations(theta)[:, :, 0]
+    points = hand.tip_positions(theta) + hand.radii[:, None] * normals
+    whole, touching = contacts_at(points, normals), np.arange(4) != 1
     parted, bent = whole.without(~touching), theta + 0.05 * np.sin(np.arange(hand.joints))
     bent[3:7] += 0.3  # the joints of the missing finger
     watch, others = GraspMonitor(hand), GraspMonitor(hand.part(touching))

@@ -8,6 +8,7 @@ import pytest
 
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
 from tactile_hand_ros.closed_loop.record import Record
+from tactile_hand_ros.report.scene import grasp_figure
 from tactile_hand_ros.run.derived import dropped_at, gaps, pose_errors, silent
 from tactile_hand_ros.run.events import events
 from tactile_hand_ros.run.metrics import metrics
@@ -87,8 +88,6 @@ def test_the_pull_without_slip_prevention_is_called_a_drop(dropped):
 
 
 def test_the_figure_shows_the_hand_and_not_the_fall(dropped):
-    from tactile_hand_ros.report.scene import grasp_figure
-
     figure = grasp_figure(*dropped)
     assert any("object dropped at 2" in text.get_text() for text in figure.texts)
     sizes = [float(np.ptp(axes.get_zlim())) for axes in figure.axes]

@@ -3,13 +3,14 @@
 
 import numpy as np
 import pytest
-from support.hands import prism_grasp
+from support.hands import changed, prism_grasp
 
 from tactile_hand_ros.closed_loop.record import Record
 from tactile_hand_ros.report.tables import metrics_rows
 from tactile_hand_ros.run.result import RunData
 from tactile_hand_ros.scenario.scenario import load_scenario
 
+LINKS = ("palm", "f1_tip")
 BOX = '<collision><geometry><box size="0.1 0.1 0.02"/></geometry></collision>'
 
 
@@ -17,9 +18,8 @@ BOX = '<collision><geometry><box size="0.1 0.1 0.02"/></geometry></collision>'
 def run(tmp_path):
     """Return a run of 1 s in which a prism, half of which is 120 mm, sinks by 0.4 m/s."""
     changes = prism_grasp(tmp_path, [3, 3, 3]) | {"targets": [], "duration": 1.0}
-    urdf = tmp_path / "hand.urdf"
-    text = urdf.read_text().replace('<link name="palm"/>', f'<link name="palm">{BOX}</link>')
-    urdf.write_text(text.replace('<link name="f1_tip"/>', f'<link name="f1_tip">{BOX}</link>'))
+    boxes = [(f'<link name="{name}"/>', f'<link name="{name}">{BOX}</link>') for name in LINKS]
+    changed(tmp_path / "hand.yaml", *boxes)
     scenario = load_scenario("gravity", changes)
     joints = [f"f{i}_joint_{j}" for i in (1, 2, 3) for j in (1, 2, 3)]
     record = Record.empty(1001, ["f1", "f2", "f3"], joints)

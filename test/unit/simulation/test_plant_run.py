@@ -62,7 +62,6 @@ def test_a_refused_sender_moves_nothing_until_it_is_released():
 
 def test_a_reset_run_repeats_to_the_bit_and_keeps_a_live_friction():
     run = PlantRun(config())
-
     first = advance(run, 20, TORQUE).theta
     run.refused = "two senders"
     run.reset()

@@ -8,7 +8,7 @@ from support.plants import plant
 
 from studies.invariance import orientations
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
-from tactile_hand_ros.control.contact import Contacts, contact_frame, in_palm
+from tactile_hand_ros.control.contact import in_palm
 from tactile_hand_ros.control.loads import split
 from tactile_hand_ros.control.slip.detector import ContactState
 from tactile_hand_ros.control.slip.regulator import SlipRegulator, SlipRegulatorConfig
@@ -33,9 +33,8 @@ def regulator(**values):
 
 def grasp_forces(slip, ticks, *seen, start=0):
     """Return k_f at each of the ticks, at which the same contacts and forces are seen."""
-    return np.array(
-        [slip.step((start + i) * TICK, STILL, *(seen or NO_TOUCH)) for i in range(ticks)]
-    )
+    stamps = range(TICK * start, TICK * (start + ticks), TICK)
+    return np.array([slip.step(stamp, STILL, *(seen or NO_TOUCH)) for stamp in stamps])
 
 
 def test_rises_and_falls_at_its_rates_and_lands_exactly_on_the_goal():
@@ -55,9 +54,8 @@ def test_rises_and_falls_at_its_rates_and_lands_exactly_on_the_goal():
     landing = 20.0 - up[300:400]
     np.testing.assert_allclose(landing[1:] / landing[:-1], 1.0 - 0.002 / 0.05, rtol=1e-3)
     slip.request(15.0)
-    assert (
-        slip.step(10**12, STILL, *NO_TOUCH) == 15.0
-    )  # a long silence lands on the goal, not beyond
+    # A long silence lands on the goal, not beyond.
+    assert slip.step(10**12, STILL, *NO_TOUCH) == 15.0
 
 
 @pytest.mark.parametrize("force", [0.4, 41.0, -1.0, float("nan"), float("inf")])
@@ -408,8 +406,7 @@ def test_what_is_released_and_grasped_again_may_be_another_object():
 
 def turned(contacts, rotation):
     """Return contacts in a rotated hand, with the frames reported by the skin of that hand."""
-    frames = np.array([contact_frame(n) for n in contacts.normals @ rotation.T])
-    return Contacts(contacts.positions @ rotation.T, frames)
+    return contacts_at(contacts.positions @ rotation.T, contacts.normals @ rotation.T)
 
 
 @pytest.mark.parametrize("way", ["x to z", "y to z", "random 1", "random 2"])
@@ -424,9 +421,8 @@ def test_the_palm_may_be_turned_in_any_way(way):
         palm = in_palm(contacts.rotations, forces, 1.0)
         for slip, turn in zip(slips, (np.eye(3), rotation), strict=True):
             there = turned(contacts, turn)
-            slip.step(
-                i * TICK, STILL, there, np.einsum("kji,kj->ki", there.rotations, palm @ turn.T)
-            )
+            in_frames = np.einsum("kji,kj->ki", there.rotations, palm @ turn.T)
+            slip.step(i * TICK, STILL, there, in_frames)
         plain, other = slips
         np.testing.assert_array_equal(plain.state, other.state)
         assert other.grasp_force == pytest.approx(plain.grasp_force, rel=1e-9)
