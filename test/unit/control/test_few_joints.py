@@ -18,6 +18,7 @@ from tactile_hand_ros.control.stability import buckling_rate, fitted_gains, moti
 from tactile_hand_ros.errors import PoseError
 from tactile_hand_ros.rotations import rotation_from_vector
 from tactile_hand_ros.scenario.scenario import load_scenario
+from tactile_hand_ros.simulation.plant import Plant
 
 POINTS = np.array([[0.03, 0.01, 0.1], [-0.02, -0.01, 0.12]])
 ALONG = (POINTS[0] - POINTS[1]) / np.linalg.norm(POINTS[0] - POINTS[1])
@@ -100,7 +101,7 @@ def test_the_same_parameters_again_move_nothing(tmp_path, monkeypatch):
 
 def test_gains_fit_motions_that_exist_only(tmp_path):
     """Nine constraints and six joints leave three motions: the others have no stiffness."""
-    plant = ClosedLoop(few_joints(tmp_path)).plant
+    plant = Plant(few_joints(tmp_path).plant)
     contacts, theta = plant.state.contacts, plant.state.theta
     forces = contacts.centroid - contacts.positions
     gains = fitted_gains(plant.hand, theta, contacts, forces, 0.002, 0.01, 0.1)

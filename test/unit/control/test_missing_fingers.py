@@ -29,6 +29,7 @@ from tactile_hand_ros.errors import PoseError
 from tactile_hand_ros.hand.hand import Fingertips, Hand
 from tactile_hand_ros.hand.joints import Joints
 from tactile_hand_ros.scenario.scenario import load_scenario
+from tactile_hand_ros.simulation.plant import Plant
 
 STILL = Joints(np.zeros(12), np.zeros(12))  # of four fingers
 GAINS = {f"manipulation_controller.law.{name}": 0.0 for name in ("k_p", "k_o", "damping")}
@@ -52,9 +53,9 @@ def ring(fingers, without=()):
     return contacts
 
 
-def without_first(loop):
-    """Return the contacts of a loop of four fingers without that of the first."""
-    return loop.state.contacts.without(np.arange(4) == 0)
+def without_first(world):
+    """Return the contacts of a loop or plant of four fingers without that of the first."""
+    return world.state.contacts.without(np.arange(4) == 0)
 
 
 @pytest.mark.parametrize("fingers", [4, 5])
@@ -148,19 +149,18 @@ def test_the_grasp_force_stays_where_the_others_need_no_more(tmp_path):
     assert regulator.grasp_force < 1.3 * before
 
 
-@pytest.mark.parametrize("every", [2, 40])
-def test_a_contact_that_flickers_leaves_the_others_their_reserve(tmp_path, every):
+def test_a_contact_that_flickers_leaves_the_others_their_reserve(tmp_path):
     k_f = {}
-    for flickers in (False, True):
+    for every in (0, 2, 40):  # ticks from loss to loss, 0 without any
         regulator = four_fingers(tmp_path)
         for tick in range(2000):
-            lost = flickers and tick % every == 0
+            lost = every > 0 and tick % every == 0
             noise = 1e-3 * np.sin(tick + np.arange(12.0)).reshape(4, 3)
             forces = np.array([0.0, 3.0, 0.0]) + noise
             forces[3] *= not lost
             regulator.step(1_000_000 * tick, STILL, ring(4, [3] if lost else []), forces)
-        k_f[flickers] = regulator.grasp_force
-    assert k_f[True] > 0.9 * k_f[False]
+        k_f[every] = regulator.grasp_force
+    assert min(k_f[2], k_f[40]) > 0.9 * k_f[0]
 
 
 def test_the_pose_and_the_carried_wrench_survive_a_change_of_the_fingers_that_touch():
@@ -201,13 +201,13 @@ def test_a_part_of_a_hand_has_its_joints_and_gravity(tmp_path):
 
 
 def test_a_finger_without_contact_need_not_follow_a_move(tmp_path):
-    loop = ClosedLoop(scenario_of(tmp_path, 4, 0.1, {}))
-    contacts, fewer, hand = loop.state.contacts, without_first(loop), loop.plant.hand
+    plant = Plant(scenario_of(tmp_path, 4, 0.1, {}).plant)
+    contacts, fewer, hand = plant.state.contacts, without_first(plant), plant.hand
     pose = AuxiliaryPose(contacts.centroid, np.eye(3))
     for shift, fits in ((0.01, True), (3.0, False)):
         target = Target(pose.position + [0.0, 0.0, shift], np.eye(3))
         try:
-            check_reach(hand, loop.state.theta, fewer, pose, target)
+            check_reach(hand, plant.state.theta, fewer, pose, target)
             found = ""
         except PoseError as error:
             found = str(error)
@@ -215,10 +215,10 @@ def test_a_finger_without_contact_need_not_follow_a_move(tmp_path):
 
 
 def test_closing_fingers_search_until_they_touch_or_have_gone_all_the_way(tmp_path):
-    loop = ClosedLoop(scenario_of(tmp_path, 4, 0.1, {}))
-    contacts, fewer, hand = loop.state.contacts, without_first(loop), loop.plant.hand
+    plant = Plant(scenario_of(tmp_path, 4, 0.1, {}).plant)
+    contacts, fewer, hand = plant.state.contacts, without_first(plant), plant.hand
     fingers = Regrasp(RegraspConfig(), hand)
-    fingers.leave(loop.state.theta, contacts)
+    fingers.leave(plant.state.theta, contacts)
     fingers.close()
     assert fingers.searches(fewer) and not fingers.searches(contacts)
     for _ in range(11):  # 22 mm

@@ -148,7 +148,7 @@ def test_what_is_out_of_reach_or_not_finite_is_refused_with_the_reason(position,
 def turned(name, degrees, duration):
     """Return a loop of a scenario whose only target is a rotation about palm z."""
     scenario = load_scenario(name)
-    contacts = ClosedLoop(scenario).state.contacts
+    contacts = Plant(scenario.plant).state.contacts
     there = rotation_from_vector([0.0, 0.0, np.radians(degrees)])
     rotation = vector_from_rotation(there @ VirtualFrame().orientation(contacts.positions))
     target = {"position": contacts.centroid.tolist(), "rotation": rotation.tolist()}

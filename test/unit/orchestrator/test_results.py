@@ -1,10 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """A run is judged by goal, completeness, failures and signals, with exit code and reasons."""
 
+import copy
 import io
 import json
 import math
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -43,11 +45,17 @@ GOOD = replace(
 )
 
 
+@cache
+def recorded() -> Record:
+    """Return the record of the plan's run."""
+    return ClosedLoop(PLAN.scenario).run()
+
+
 @pytest.fixture
 def directory(tmp_path: Path) -> RunDirectory:
     """Return the directory of a recorded run of the plan."""
     made = RunDirectory(tmp_path)
-    write_record(made.bag, ClosedLoop(PLAN.scenario).run())
+    write_record(made.bag, recorded())
     made.write_scenario(PLAN.scenario)
     return made
 
@@ -140,7 +148,7 @@ def test_lost_messages_are_those_of_the_hand(tmp_path):
     lost = {"": "45", "/parameter_events": "43", "/left/joint_states": "2"}
     directory = RunDirectory(tmp_path)
     noted = {f"lost_messages{topic}": count for topic, count in lost.items()}
-    write_record(directory.bag, ClosedLoop(PLAN.scenario).run(), custom_data=noted)
+    write_record(directory.bag, recorded(), custom_data=noted)
     found = read_results(PLAN, directory, DONE)
     assert found.recording["lost_messages"] == 2
     assert found.problems == ["the recorder lost 2 messages"]
@@ -196,7 +204,7 @@ def test_deadlines_are_those_of_the_wall_clock(directory):
 
 
 def test_a_summary_holds_for_every_number_that_is_missing(tmp_path):
-    record = ClosedLoop(PLAN.scenario).run()
+    record = copy.deepcopy(recorded())
     record.auxiliary_position[-1] = math.nan
     directory = RunDirectory(tmp_path)
     write_record(directory.bag, record)

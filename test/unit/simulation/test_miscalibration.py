@@ -7,29 +7,30 @@ from tactile_hand_ros.closed_loop.loop import ClosedLoop
 from tactile_hand_ros.control.contact import contact_frame
 from tactile_hand_ros.hand.hand import Hand
 from tactile_hand_ros.rotations import rotation_from_quaternion, rotation_from_vector
-from tactile_hand_ros.scenario.scenario import load_scenario
+from tactile_hand_ros.scenario.scenario import Scenario, load_scenario
 from tactile_hand_ros.simulation.plant import Plant
 from tactile_hand_ros.simulation.skin import CalibrationConfig, miscalibrated
 
 
-def loop(**errors: object) -> ClosedLoop:
-    """Return the closed loop of the scenario `gravity` with some errors."""
-    return ClosedLoop(load_scenario("gravity", {f"calibration.{k}": v for k, v in errors.items()}))
+def scenario(**errors: object) -> Scenario:
+    """Return the scenario `gravity` with some errors."""
+    return load_scenario("gravity", {f"calibration.{k}": v for k, v in errors.items()})
 
 
 def test_without_errors_hand_and_model_are_one() -> None:
-    made = loop()
+    plant = Plant(scenario().plant)
     assert CalibrationConfig().is_right
-    assert made.plant.hand is made.plant.model
+    assert plant.hand is plant.model
 
 
 def test_larger_tips_touch_where_they_are_and_are_reported_where_the_model_is() -> None:
-    made = loop(tip_radii=1.1, link_lengths=1.03)
-    state, known = made.plant.state, made.plant.model
-    np.testing.assert_allclose(made.plant.hand.radii, 1.1 * known.radii)
+    made = scenario(tip_radii=1.1, link_lengths=1.03)
+    plant = Plant(made.plant)
+    state, known = plant.state, plant.model
+    np.testing.assert_allclose(plant.hand.radii, 1.1 * known.radii)
     assert np.abs(state.gaps).max() < 1e-12
     true = state.touch
-    errors = made.scenario.tactile_sensor.calibration
+    errors = made.tactile_sensor.calibration
     seen = miscalibrated(errors, known, state.theta, true)
     normals = rotation_from_quaternion(true.quaternions)[:, :, 1]
     expected = known.tip_positions(state.theta) + known.radii[:, None] * normals
@@ -41,7 +42,7 @@ def test_larger_tips_touch_where_they_are_and_are_reported_where_the_model_is() 
 def test_a_turned_skin_turns_normal_and_force_alike() -> None:
     """In the palm frame both rotate equally, as given in axes of the fingertip."""
     vector = np.array([0.05, -0.1, 0.08])
-    made = loop()
+    made = ClosedLoop(scenario())
     made.run(40)
     state, hand = made.plant.state, made.plant.model
     true = state.touch
@@ -60,12 +61,12 @@ def test_a_turned_skin_turns_normal_and_force_alike() -> None:
 
 def test_gravity_turns_for_object_and_links_and_not_for_the_controller() -> None:
     far = {"calibration.gravity_rotation": [0.5, 0.0, 0.0], "plant.object.position": [0, 0, 9]}
-    scenario = load_scenario("gravity", far)
-    plant, gravity = Plant(scenario.plant), np.array(scenario.gravity)
+    turning = load_scenario("gravity", far)
+    plant, gravity = Plant(turning.plant), np.array(turning.gravity)
     turned = rotation_from_vector(np.array([0.5, 0.0, 0.0])) @ gravity
     theta = plant.state.theta
     right = Hand.load("paper", gravity=turned).gravity_torque(theta)
     np.testing.assert_allclose(plant.hand.gravity_torque(theta), right, atol=1e-12)
     fallen = plant.advance(np.zeros(9)).velocity
-    np.testing.assert_allclose(fallen, turned / scenario.plant.rate, atol=1e-12)
-    assert scenario.manipulation_controller.gravity == tuple(gravity)
+    np.testing.assert_allclose(fallen, turned / turning.plant.rate, atol=1e-12)
+    assert turning.manipulation_controller.gravity == tuple(gravity)
