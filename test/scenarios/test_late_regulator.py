@@ -49,8 +49,7 @@ SHORTER = {"pull": 3.0, "gravity": 3.5}
 def run_with_late_commands(name, seed):
     """Run a scenario at 500 Hz with randomly delayed commands; if `seed` is None, none is late.
 
-    Returns:
-        Whether the object is held at the end, mean k_f of the last half second, the largest slip.
+    Return whether the object is held at the end, mean k_f of the last 0.5 s, and the largest slip.
     """
     scenario = load_scenario(name, {"plant.rate": 500.0, "duration": SHORTER[name]})
     guarded = GuardedLoop(scenario)

@@ -94,11 +94,7 @@ class Page:
         return self.driver.execute_script(code, *arguments)
 
     def wait(self, condition: Callable[[], Any]) -> Any:
-        """Wait until a condition holds and return its value.
-
-        Raises:
-            TimeoutException: If it does not hold in time.
-        """
+        """Wait until a condition holds and return its value; raise TimeoutException if too late."""
         return WebDriverWait(self.driver, DEADLINE, 0.05).until(lambda _: condition())
 
     @property

@@ -19,11 +19,7 @@ def skew(a: Array) -> Array:
 def hand_jacobian(centers: Array, linear: Array, angular: Array, points: Array) -> Array:
     """Return J_h of equation (2) in palm axes, shape (3k, m).
 
-    Args:
-        centers: Fingertip centers p_f, shape (k, 3), m.
-        linear: J, shape (k, 3, m).
-        angular: J_Omega, shape (k, 3, m).
-        points: Contact points p_c, shape (k, 3), m.
+    Of p_f and p_c, shape (k, 3), m, and of J and J_Omega of the fingertips, shape (k, 3, m).
     """
     arms = points - centers
     return np.vstack([j - skew(p) @ w for j, w, p in zip(linear, angular, arms, strict=True)])

@@ -63,12 +63,7 @@ def torque_for(plant: Plant, forces: Array, damping: float = 0.0) -> Array:
 
 
 def holding(plant: Plant, forces: Array) -> Iterator[PlantState]:
-    """Yield the states from tick to tick while a posture is held stiffly around given forces.
-
-    Args:
-        plant: Hand and object.
-        forces: Fingertip forces, shape (k, 3), palm axes.
-    """
+    """Yield the states while a posture is held stiffly around fingertip forces in palm axes."""
     posture, torque = plant.state.theta, torque_for(plant, forces)
     while True:
         now = plant.state

@@ -26,25 +26,15 @@ Array = NDArray[np.float64]
 
 
 class World(NamedTuple):
-    """The reference's model of hand and object.
+    """The reference's model of hand and object."""
 
-    Attributes:
-        urdf: Text of the hand's URDF.
-        tips: Names of the fingertips' links.
-        radii: Radii of the fingertips, shape (k,), m.
-        mass: Mass of the object, kg.
-        inertia: Its inertia in its own frame, shape (3, 3), kg m^2.
-        gravity: Acceleration of gravity, palm frame, shape (3,), m/s^2.
-        faces: Outward normals of the faces in the object's frame, one per finger, shape (k, 3).
-    """
-
-    urdf: str
-    tips: list[str]
-    radii: Array
-    mass: float
-    inertia: Array
-    gravity: Array
-    faces: Array
+    urdf: str  # text of the hand's URDF
+    tips: list[str]  # names of the fingertips' links
+    radii: Array  # of the fingertips, shape (k,), m
+    mass: float  # of the object, kg
+    inertia: Array  # of the object in its own frame, shape (3, 3), kg m^2
+    gravity: Array  # acceleration, palm frame, shape (3,), m/s^2
+    faces: Array  # outward normals in the object's frame, one per finger, shape (k, 3)
 
 
 class State(NamedTuple):
@@ -104,9 +94,7 @@ class Reference:
     def contact_rows(self, s: State) -> tuple[Array, Array, Array]:
         """Return the contact constraint on the accelerations.
 
-        Returns:
-            Factors of the joint accelerations, J_h of (2), shape (3k, m), of the object's, shape
-            (3k, 6), and the rest, shape (3k,), m/s^2.
+        J_h of (2), (3k, m), for the joints; a factor for the object, (3k, 6); the rest, m/s^2.
         """
         w, m, k, rotation = self.world, self.m, len(self.frames), rotation_of(s)
         pin.computeAllTerms(self.model, self.data, s.theta, s.rates)
