@@ -42,7 +42,7 @@ class Contacts:
     @classmethod
     def from_poses(cls, positions: Array, quaternions: Array) -> Contacts:
         """Return the contacts of positions, (k, 3), m, and quaternions (x, y, z, w), (k, 4)."""
-        return cls(positions, rows_of_quaternions(quaternions).reshape(-1, 3, 3))
+        return cls(positions, _frames(quaternions))
 
     @cached_property
     def touching(self) -> NDArray[np.bool_]:
@@ -97,6 +97,12 @@ def centroid(points: Array) -> Array:
     for i in range(len(points)):
         out += points[i]
     return out / len(points)
+
+
+@compiled
+def _frames(quaternions: Array) -> Array:
+    """Return the contact frames, (k, 3, 3), of quaternions (x, y, z, w), (k, 4)."""
+    return rows_of_quaternions(quaternions).reshape(-1, 3, 3)
 
 
 @compiled
