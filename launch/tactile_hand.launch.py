@@ -44,7 +44,7 @@ def nodes(context: LaunchContext) -> list[Node]:
     scenario = load_scenario(name)
     scenario = scenario.model_copy(update={"plant": scenario.plant.changed({"duration": 0.0})})
     folder = Path(tempfile.mkdtemp(prefix="tactile_hand_"))
-    started = [each for each in NODES if simulation == "true" or each not in SIMULATION]
+    started = [each for each in NODES if simulation.lower() == "true" or each not in SIMULATION]
     for each in started:
         (folder / each).write_text(to_params_yaml(getattr(scenario, each), each), "utf-8")
     return [

@@ -23,6 +23,7 @@ from tactile_hand_ros.bag.reader import find_bag
 from tactile_hand_ros.bag.schema import MessageDefinition
 from tactile_hand_ros.bag.writer import BagWriter
 from tactile_hand_ros.errors import BagError
+from tactile_hand_ros.names import ACCEPTED_POSE
 
 LARGEST = 2**28
 """Maximum size of a record or chunk [B]; a larger announced size means damage."""
@@ -201,7 +202,8 @@ class _Copy:
                 type_hash=channel.metadata.get("topic_type_hash", ""),
                 definition=MessageDefinition(schema.encoding, schema.data.decode(errors="replace")),
             )
-            if any(offer["durability"] in _LATCHED for offer in offers):
+            is_latched = any(offer["durability"] in _LATCHED for offer in offers)
+            if is_latched or channel.topic.endswith(f"/{ACCEPTED_POSE}"):  # it stays in force
                 self._latched.add(self._numbers[key])
         self._channels[channel.id] = self._numbers[key]
 

@@ -12,6 +12,7 @@ from typing import Annotated
 import typer
 
 from tactile_hand_ros.command_line import Signals, open_in_browser
+from tactile_hand_ros.extras import optional
 from tactile_hand_ros.orchestrator.options import RunOptions, with_options
 
 _SCENARIO = "gravity"
@@ -48,6 +49,7 @@ def live(options: LiveOptions) -> None:
     if options.bag is not None:
         _show(options.bag, options.browser)
         return
+    optional("aiohttp", "The cockpit")  # before a folder of the run is made
     from tactile_hand_ros.orchestrator.cockpit import cockpit
     from tactile_hand_ros.orchestrator.command import start
     from tactile_hand_ros.scenario.scenario import load_scenario

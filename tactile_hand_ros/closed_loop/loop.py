@@ -154,6 +154,8 @@ class ClosedLoop:
             try:
                 self.tick(record, row)
             except DivergedError:
+                record.true_positions[row] = record.contact_positions[row] = np.nan
+                record.forces[row] = 0.0
                 return record.part(slice(row + 1))
         return record
 

@@ -197,6 +197,7 @@ class Commands:
         copying = ["recover", bag, "--out", folder / "bag", "--last", last]
         try:
             folder.mkdir()
+            (folder / "summary.json").write_text('{"interactive": true}', encoding="utf-8")
             for words in (copying, ["report", folder]):
                 line = ["nice", sys.executable, "-m", f"{PACKAGE}.cli", *map(str, words)]
                 subprocess.run(line, capture_output=True, text=True, check=True)

@@ -38,8 +38,15 @@ class FingerConfig(Config):
         unit="m",
     )
     axis: tuple[float, float, float] = param(
-        (1.0, 0.0, 0.0), "direction of the hemisphere's top in the frame of the link"
+        (1.0, 0.0, 0.0), "direction of the hemisphere's top in the frame of the link, not 0"
     )
+
+    @field_validator("axis")
+    @classmethod
+    def _axis_points_somewhere(cls, value: tuple[float, ...]) -> tuple[float, ...]:
+        if not any(value):
+            raise ValueError("axis is 0, expected a direction such as [1, 0, 0]")
+        return value
 
 
 class LimitConfig(Config):

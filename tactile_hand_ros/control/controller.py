@@ -296,7 +296,9 @@ class Controller:
             self._hold.engage(theta)
 
     def turn_palm(self, orientation: Array) -> None:
-        """Turn gravity with the palm, whose quaternion (x, y, z, w) in the world is given."""
+        """Turn gravity with the palm, by its quaternion (x, y, z, w) in the world, if `imu`."""
+        if not self.config.imu:
+            return
         self._palm = rotation_from_quaternion(orientation)
         self.hand.gravity = self._palm.T @ np.array(self.config.gravity)
 

@@ -110,9 +110,12 @@ class ViewerNode(TactileNode[ViewerConfig]):
         for topic, (subscription, decode) in self._inputs.items():
             data = take_latest(subscription)
             if data is not None:
-                self._newest.pop(topic, None)
+                before = self._newest.pop(topic, None)
                 with suppress(MessageError):  # the controllers reject and report it
-                    self._newest[topic] = decode(data)
+                    new = decode(data)
+                    if topic == names.CONTACTS and before is not None and new[0] < before[0]:
+                        self._newest.clear()  # a reset, which also drops the goal
+                    self._newest[topic] = new
         frames = self._frames()
         if self._tf is not None and names.CONTACTS in self._newest:
             stamp = RosTime(nanoseconds=self._newest[names.CONTACTS][0]).to_msg()

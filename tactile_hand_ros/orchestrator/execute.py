@@ -10,6 +10,7 @@ import socket
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager
+from dataclasses import replace
 from typing import IO, cast
 
 from rich.console import Console
@@ -109,7 +110,11 @@ def _conclude(
     show = functools.partial(console.print, soft_wrap=True)
     found = results.read_results(plan, directory, outcome)
     verdict = results.judge(plan, outcome, found, signal_code)
-    results.write_summary(plan, directory, outcome, found, verdict)
+    try:
+        results.write_summary(plan, directory, outcome, found, verdict)
+    except OSError as error:  # the disk may be full
+        reasons = [*verdict.reasons, f"summary.json cannot be written: {error.strerror}"]
+        verdict = replace(verdict, reasons=reasons, exit_code=verdict.exit_code or 1)
     if found.metrics is not None and found.metrics.link_inside:
         show(f"warning: inside the object, which the simulation ignores: {found.metrics.link_note}")
     if found.run is not None:

@@ -39,7 +39,8 @@ class RunDirectory:
                 run = cls(root / f"{stem}-{number}")
             (run.path / "logs").mkdir(mode=0o700)  # one of them has the link of the cockpit
             (run.path / "parameters").mkdir()
-            replace_link(root / "latest", run.path.name)
+            with contextlib.suppress(PermissionError):  # a file system without links
+                replace_link(root / "latest", run.path.name)
         except OSError as error:
             raise ConfigurationError(
                 f"no run can be stored in '{root}': {error.strerror}; choose another --out"

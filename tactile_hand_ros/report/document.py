@@ -18,6 +18,7 @@ from tactile_hand_ros.control.contact import known_part
 from tactile_hand_ros.report import facts, model
 from tactile_hand_ros.run import derived
 from tactile_hand_ros.run.derived import gaps
+from tactile_hand_ros.run.events import Event
 from tactile_hand_ros.run.result import RunData
 
 Rows = NDArray[np.int64]
@@ -25,6 +26,7 @@ Rows = NDArray[np.int64]
 MAX_BYTES = 2_900_000
 """Maximum size of a page's arrays before base64, so that the page stays below 5 MB."""
 MAX_EVENTS = 400
+_FREQUENT = ("slip", "detection", "reaction", "contact_lost", "contact_made")
 
 
 def run_document(run: RunData, *, room: int = MAX_BYTES) -> dict[str, Any]:
@@ -60,7 +62,7 @@ def run_document(run: RunData, *, room: int = MAX_BYTES) -> dict[str, Any]:
             )
             for name, values in columns.items()
         },
-        "events": [asdict(event) for event in run.events[:MAX_EVENTS]],
+        "events": [asdict(event) for event in _events(run)],
         "hand": hand,
         "object": solid,
         "assumptions": facts.assumptions(run),
@@ -115,9 +117,15 @@ def scene_columns(record: Record) -> dict[str, Array]:
     return {name: getattr(record, name) for name in names}
 
 
+def _events(run: RunData) -> list[Event]:
+    """Return the events to show; of more than `MAX_EVENTS`, the first of the frequent kinds."""
+    first = sorted(run.events, key=lambda event: event.kind in _FREQUENT)[:MAX_EVENTS]
+    return sorted(first, key=lambda event: event.time)
+
+
 def _rows(run: RunData, limit: int) -> Rows:
     record = run.record
-    at_events = np.searchsorted(record.times, [event.time for event in run.events[:MAX_EVENTS]])
+    at_events = np.searchsorted(record.times, [event.time for event in _events(run)])
     of_parts = (
         np.abs(record.rates),
         derived.contact_forces(record)[:, :, 1],

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -26,6 +27,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from matplotlib.lines import Line2D
 
+    from tactile_hand_ros.hand.hand import Hand
+
 LineStyle = str | tuple[float, Sequence[float]]
 
 _DASHED: LineStyle = (0, (4, 3))
@@ -33,12 +36,12 @@ _TARGET: dict[str, Any] = {"color": INK, "linestyle": _DASHED, "linewidth": 0.8,
 _LINES: tuple[LineStyle, ...] = ("-", (0, (3, 1.5)), (0, (1, 1.2)), (0, (5, 1, 1, 1)))
 
 
-def motion_figure(record: Record) -> Figure:
+def motion_figure(record: Record, hand: Hand | None = None) -> Figure:
     """Draw Fig. 3: joint rates, position, orientation error and normal forces over time."""
     with look():
         figure = new_figure(PAGE, 4.2)
         axes = figure.subplots(2, 2, sharex=True)
-        draw_rates(axes[0, 0], record)
+        draw_rates(axes[0, 0], record, hand)
         axes[0, 0].set_title("(a) joint rates")
         draw_position(axes[0, 1], record)
         axes[0, 1].set_title("(b) centroid of the contacts")
@@ -57,17 +60,17 @@ def motion_figure(record: Record) -> Figure:
     return figure
 
 
-def draw_rates(axes: Axes, record: Record) -> None:
-    """Draw all joint rates, one color per finger and one line style per joint."""
-    per_finger = _joints_per_finger(record)
+def draw_rates(axes: Axes, record: Record, hand: Hand | None = None) -> None:
+    """Draw all joint rates, one color per finger and one line style per joint.
+
+    Without a hand, the joints count as those of one finger after the other.
+    """
+    per_finger, drawn = _joints_per_finger(record), Counter[int]()
     for j in range(len(record.joint_names)):
-        axes.plot(
-            record.times,
-            record.rates[:, j],
-            color=finger_color(j // per_finger),
-            linestyle=JOINT_LINES[j % per_finger % len(JOINT_LINES)],
-            linewidth=1.0,
-        )
+        finger = j // per_finger if hand is None else int(hand.moves[:, j].argmax())
+        style = JOINT_LINES[drawn[finger] % len(JOINT_LINES)]
+        color, drawn[finger] = finger_color(finger), drawn[finger] + 1
+        axes.plot(record.times, record.rates[:, j], color=color, linestyle=style, linewidth=1.0)
     axes.set_ylabel(r"$\dot{\theta}$ [rad/s]")
 
 

@@ -97,7 +97,7 @@ class Result(RunData):
 
     def plot(self) -> Figure:
         """Return the paper's Fig. 3 of this run: rates, position, orientation error, forces."""
-        return motion_figure(self.record)
+        return motion_figure(self.record, self._hand[0])
 
     def report(self, folder: Path | str | None = None) -> Path:
         """Write ``report.html`` and return the file; see `write_report`.

@@ -409,5 +409,10 @@ class ImuCodec:
         """Return timestamp and quaternion, shape (4,)."""
         content = self._read(data)
         orientation = content.doubles["orientation"]
+        if content.doubles["rates, accelerations and covariances"][0] == -1.0:
+            raise MessageError(
+                "orientation_covariance[0] is -1, which marks an imu without orientation; expected "
+                "that of the palm in the world."
+            )
         _checked_quaternion(orientation.tolist(), "the orientation")
         return content.stamp, orientation

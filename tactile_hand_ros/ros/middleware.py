@@ -129,7 +129,8 @@ def ros_context(arguments: Sequence[str] = (), domain: int | None = None) -> Ite
     use_sockets()
     context = Context()
     with arguments_checked():
-        context.init(list(arguments), domain_id=domain)  # without signal handlers
+        quiet = "--ros-args", "--disable-external-lib-logs"  # no log file, also without a HOME
+        context.init([*arguments, *quiet], domain_id=domain)  # without signal handlers
     try:
         yield context
     finally:

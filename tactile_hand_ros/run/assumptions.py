@@ -52,7 +52,7 @@ def assumptions(record: Record, hand: Hand) -> list[Assumption]:
 
 def _judged(line: _Line, times: Array, values: Array) -> Assumption:
     name, meaning, margin, limit, below = line
-    looked = (times >= _SETTLING) & ~np.isnan(values)
+    looked = (times >= times[0] + _SETTLING) & ~np.isnan(values)
     known, times = values[looked], times[looked]
     held, worst, broken = math.nan, math.nan, []
     if len(known):

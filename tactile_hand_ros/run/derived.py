@@ -16,7 +16,7 @@ from tactile_hand_ros.rotations import rotation_from_quaternion
 from tactile_hand_ros.scenario.link_collisions import LinkCollisions
 
 _LOOK = 0.05  # s between two looks at links in the object
-_LONG = 5  # missing ticks that count as a gap; in real time, a late plant skips a few
+LONG = 5  # missing ticks that count as a gap; in real time, a late plant skips a few
 _HOLDING = 2  # minimum number of fingers that can hold an object
 
 
@@ -42,12 +42,12 @@ def gaps(record: Record) -> list[tuple[int, int]]:
         return []
     steps = np.diff(record.stamps)
     period = float(np.median(steps))
-    found = [(int(row), int(row) + 1) for row in np.flatnonzero(steps > _LONG * period)]
+    found = [(int(row), int(row) + 1) for row in np.flatnonzero(steps > LONG * period)]
     quiet = silent(record)
     if quiet.all():  # without touch altogether
         return found
     for start, end in spans(quiet):
-        if end - start >= _LONG:
+        if end - start >= LONG:
             found.append((max(0, start - 1), min(end, len(record) - 1)))
     return sorted(found)
 
@@ -55,11 +55,14 @@ def gaps(record: Record) -> list[tuple[int, int]]:
 def dropped_at(record: Record, releases: Sequence[float] = ()) -> float:
     """Return when the object was dropped, s; NaN if it is held at the end, or was never held.
 
-    From the drop on, fewer than two fingers touch until the end of the run. An object that a user
-    has released, at `releases` in s, does not count as dropped.
+    From the drop on, fewer than two fingers touch until the end of the run, by the ground truth
+    where there is one: a skin may fail. An object that a user has released, at `releases` in s,
+    does not count as dropped.
     """
-    missing = np.isnan(record.contact_positions[:, :, 0])
-    known = np.flatnonzero(~silent(record))  # the other ticks were not recorded
+    is_true = np.asarray(np.isfinite(record.object_position).all(axis=1))
+    points = np.where(is_true[:, None, None], record.true_positions, record.contact_positions)
+    missing = np.isnan(points[:, :, 0])
+    known = np.flatnonzero(is_true | ~silent(record))  # the other ticks were not recorded
     held = np.flatnonzero((~missing[known]).sum(axis=1) >= _HOLDING)
     if not len(held) or held[-1] + 1 == len(known):
         return math.nan

@@ -90,7 +90,7 @@ def events(
     if not math.isnan(dropped):
         found.append(Event(dropped, "dropped", "", "the object is dropped"))
     if scenario is not None:
-        found += _disturbances(scenario)
+        found += _disturbances(scenario, *record.times[[0, -1]])
     return sorted(found, key=lambda event: event.time)
 
 
@@ -143,7 +143,7 @@ def _at(record: Record, rows: Iterable[int], kind: str, finger: str, text: str) 
     return [Event(float(record.times[row]), kind, finger, text) for row in rows]
 
 
-def _disturbances(scenario: Scenario) -> list[Event]:
+def _disturbances(scenario: Scenario, start: float, end: float) -> list[Event]:
     pushes = [
         Event(push.start, "disturbance", "", f"{push.kind} of {_strength(push.force, push.torque)}")
         for push in scenario.plant.disturbances
@@ -152,7 +152,7 @@ def _disturbances(scenario: Scenario) -> list[Event]:
         Event(change.start, "disturbance", "", f"friction becomes {change.friction:g}")
         for change in scenario.plant.friction_changes
     ]
-    return [event for event in pushes + changes if event.time <= scenario.duration]
+    return [event for event in pushes + changes if start <= event.time <= end]
 
 
 def _strength(force: tuple[float, ...], torque: tuple[float, ...]) -> str:

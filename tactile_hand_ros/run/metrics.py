@@ -154,6 +154,7 @@ def metrics(
     gives the goal, and `releases` when a user opened the hand, s.
     """
     goal = GoalConfig() if scenario is None else scenario.goal
+    whole, record = record, _answered(record)
     dropped = derived.dropped_at(record, releases)
     position, rotation = derived.pose_errors(record, dropped)
     inside = (position <= goal.position_error) & (rotation <= goal.rotation_error)
@@ -162,8 +163,8 @@ def metrics(
     moved, turned = derived.motion_in_grasp(record)
     slid = peak(record.true_slid)
     found = Metrics(
-        ticks=len(record),
-        simulated_time_s=float(record.times[-1] - record.times[0]),
+        ticks=len(whole),
+        simulated_time_s=float(whole.times[-1] - whole.times[0]),
         final_position_error_m=float(position[-1]),
         final_rotation_error_rad=float(rotation[-1]),
         settling_time_s=_settling(record, inside),
@@ -183,6 +184,13 @@ def metrics(
         return found
     is_good = not found.is_dropped and all(each.passed for each in found.judged(goal))
     return replace(found, goal_reached=is_good)
+
+
+def _answered(record: Record) -> Record:
+    """Return it without its last ticks if they have no command: a recording may end in between."""
+    known = np.flatnonzero(np.isfinite(record.command).any(axis=1))
+    end = int(known[-1]) + 1 if len(known) else 0
+    return record.part(slice(end)) if end and len(record) - end < derived.LONG else record
 
 
 def _force_metrics(record: Record) -> dict[str, Any]:

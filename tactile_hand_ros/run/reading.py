@@ -94,11 +94,14 @@ def find_fingers(topics: Iterable[str], prefix: str) -> list[str]:
 
 Times = NDArray[np.int64]
 
+_RESET = 1_000_000_000  # ns
 EARLY = 100_000_000  # ns before the first tick of its run in which a message may be logged
 
 
 def sections(messages: Mapping[str, TopicMessages], states: str) -> list[dict[str, TopicMessages]]:
-    """Split the messages of a bag at its resets, each of which sets time back; oldest first.
+    """Split the messages of a bag at its resets, oldest first.
+
+    A reset sets time back to 0 or by more than 1 s; as in `ros.ticks`, less is late or disorder.
 
     Raises:
         MessageError: If a message has no valid header.
@@ -106,7 +109,9 @@ def sections(messages: Mapping[str, TopicMessages], states: str) -> list[dict[st
     stamps = [header_stamp(data) for data in messages[states].data]
     logged = messages[states].log_times[1:]
     starts = [
-        at for at, before, after in zip(logged, stamps, stamps[1:], strict=False) if after < before
+        at
+        for at, before, after in zip(logged, stamps, stamps[1:], strict=False)
+        if after < before and (after == 0 or before - after > _RESET)
     ]
     bounds = {
         topic: [0, *(_first_of_section(each, start) for start in starts), len(each.data)]
@@ -152,12 +157,17 @@ class Series:
                 out[table.rows] = table.doubles(name)
         return out
 
+    @property
+    def first_names(self) -> list[str]:
+        """The names in the first JointState."""
+        return next((t.layout.texts[1:] for t in self.tables if 0 in t.rows), [])
+
     def joints(self, name: str, joints: list[str]) -> Array:
-        """Return a JointState field in the order of `joints`, shape (n, m); NaN if they differ."""
+        """Return a JointState field in the order of `joints`, shape (n, m); NaN if one lacks."""
         out = np.full((len(self), len(joints)), np.nan)
         for table in self.tables:
             given = table.layout.texts[1:]
-            if table.layout.doubles[name][1] == len(given) and sorted(given) == sorted(joints):
+            if table.layout.doubles[name][1] == len(given) and set(joints) <= set(given):
                 order = [given.index(joint) for joint in joints]
                 out[table.rows] = table.doubles(name)[:, order]
         return out
@@ -186,8 +196,9 @@ def align(series: Mapping[str, Series], topics: HandTopics) -> Record:
     """
     states = series[topics.full(names.JOINT_STATES)]
     ticks, _ = first_ticks(states)
-    # The joints are those of the first message.
-    joints: list[str] = next((t.layout.texts[1:] for t in states.tables if 0 in t.rows), [])
+    # Of a driver's joints, in any order, those that the hand drives, in its order.
+    own, given = series[topics.full(names.JOINT_COMMAND)].first_names, states.first_names
+    joints = own if own and set(own) <= set(given) else given
     fingers = topics.fingers
     record = Record.empty(len(ticks), list(fingers), joints)
     record.stamps[:] = ticks

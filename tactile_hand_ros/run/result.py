@@ -16,7 +16,7 @@ from tactile_hand_ros import names
 from tactile_hand_ros.bag.provenance import LOST_KEY
 from tactile_hand_ros.closed_loop.record import Record
 from tactile_hand_ros.errors import ObjectModelError, TactileHandError
-from tactile_hand_ros.extras import optional
+from tactile_hand_ros.extras import MissingLibraryError, optional
 from tactile_hand_ros.hand.hand import Hand
 from tactile_hand_ros.run.assumptions import Assumption, assumptions
 from tactile_hand_ros.run.derived import link_inside
@@ -83,7 +83,8 @@ class RunData:
         found = metrics(self.record, self.scenario, releases=releases(self.requests))
         if self.steered:
             found = replace(found, goal_reached=None)
-        with suppress(ObjectModelError):  # its mesh stayed on the machine of the run
+        # Its mesh stayed on the machine of the run, or nothing here reads meshes.
+        with suppress(ObjectModelError, MissingLibraryError):
             if self.scenario is not None and self._hand[0] is not None:
                 links = LinkCollisions(self._hand[0], self.scenario.plant.object.solid())
                 link, since = link_inside(self.record, links)

@@ -41,7 +41,16 @@ def read_layers(path: Path, seen: tuple[Path, ...] = ()) -> dict[str, Any]:
         under.pop(key, None)
     if data.get("hand", under.get("hand")) != under.get("hand"):
         under.pop("layout", None)  # of another hand
+    given = set(_object_of(data))
+    if given & {"shape", "size", "vertices", "mesh"} and "inertia" not in given:
+        _object_of(under).pop("inertia", None)  # of another body
     return merged(under, data)
+
+
+def _object_of(data: Mapping[str, Any]) -> dict[str, Any]:
+    plant = data.get("plant")
+    found = plant.get("object") if _is_map(plant) else {}
+    return found if _is_map(found) else {}
 
 
 def _find_base(base: str, path: Path) -> Path:
@@ -62,9 +71,9 @@ def _complete(data: dict[str, Any], path: Path) -> None:
     A ``law`` at the top level is short for that of the controller, and ``law: NAME`` for
     ``law: {name: NAME}``. Validation reports sections that are not mappings.
     """
-    plant, section = data.get("plant"), data.get(CONTROLLER, {})
-    for place, key in ((data, "hand"), (plant.get("object") if _is_map(plant) else {}, "mesh")):
-        if _is_map(place) and key in place:
+    section = data.get(CONTROLLER, {})
+    for place, key in ((data, "hand"), (_object_of(data), "mesh")):
+        if key in place:
             place[key] = _beside(place[key], path.parent)
     if not _is_map(section) or "law" not in {*data, *section}:
         return

@@ -282,10 +282,10 @@ class TactileSensor:
         measured = _measured(*skin, *true, speeds, white, elapsed)
         reading = TactileReading(*measured)
         last = self._waiting[-1][1] if self._waiting else self._held
-        if last is not None and self.config.dropout > 0.0:
-            reading = _kept(draws < self.config.dropout, last, reading)
         if self.config.faults:
             reading = _spoiled(np.array(self.config.faults), last, reading)
+        if last is not None and self.config.dropout > 0.0:
+            reading = _kept(draws < self.config.dropout, last, reading)
         if self.config.axes == "normal":
             reading.forces[:, ::2] = np.nan
         return reading

@@ -47,7 +47,7 @@ def friction_margin(record: Record, scenario: Scenario) -> float:
     """
     friction = np.full(len(record), scenario.plant.object.friction)
     for change in sorted(scenario.plant.friction_changes, key=lambda change: change.start):
-        friction[record.times > change.start] = change.friction
+        friction[record.stamps > round(1e9 * change.start)] = change.friction
     touching = np.isfinite(record.true_positions[:, :, 0])
     touching &= (record.times >= START_S)[:, None]
     beta = np.where(touching, required_friction(record.true_forces), np.nan)
@@ -113,4 +113,6 @@ def make_sweep(
             checked = [*parameter.values]
         for value in checked:
             base.changed({path: value})
+    if "seed" in fixed:  # not those of the runs
+        parsed.append(("seed", Choice((base.seed,))))
     return Study(dict(parsed), ScenarioRun(base), runs, seed, {"scenario": plain(base)})

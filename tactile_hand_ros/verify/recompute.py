@@ -181,7 +181,8 @@ class ShadowLoop(Chain):
 
     def _joints(self, row: int) -> Joints:
         r = self._inputs.record
-        return Joints(r.theta[row], r.rates[row], r.torque[row])
+        torque = r.torque[row] if np.isfinite(r.torque[row]).all() else None  # not reported
+        return Joints(r.theta[row], r.rates[row], torque)
 
     def _change(self, node: str, stamp: int) -> None:
         """Apply the changes of a node up to a tick [ns]."""

@@ -330,7 +330,7 @@ class PlantDriver:
 
     def _on_pace(self) -> None:
         if due := self._pace.due():
-            self._advance(due)
+            self._advance(1 if self._is_single else due)
 
     def _on_watch(self) -> None:
         """Send a tick again after a short silence, hold the joints after a long one."""

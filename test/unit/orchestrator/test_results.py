@@ -179,6 +179,7 @@ def test_what_has_a_goal_passes_or_fails(directory):
 def test_a_drop_leaves_nothing_else_to_be_judged(tmp_path):
     record, directory = random_record(), RunDirectory(tmp_path)
     record.contact_positions[10:, 1:], record.forces[10:, 1:] = math.nan, 0.0
+    record.true_positions[10:, 1:] = math.nan
     write_record(directory.bag, record)
     found = read_results(PLAN, directory, DONE)
     rows = shown(PLAN, DONE, found)

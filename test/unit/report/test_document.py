@@ -185,7 +185,7 @@ def test_of_a_real_hand_has_no_object_and_nothing_judges_it(tmp_path: Path) -> N
 def test_a_dropped_object_is_the_headline(tmp_path: Path) -> None:
     record = random_record(40)
     record.contact_positions[20:, 1:] = record.contact_quaternions[20:, 1:] = np.nan
-    record.forces[20:, 1:] = 0.0
+    record.true_positions[20:, 1:], record.forces[20:, 1:] = np.nan, 0.0
     document = run_document(Run(write_record(tmp_path / "bag", record)))
     assert document["tiles"][0]["label"] == "object dropped" and document["passed"] is False
     assert document["headline"] == "object dropped at 0.040 s"

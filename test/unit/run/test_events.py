@@ -115,11 +115,12 @@ def test_a_drop_and_pushes_stand_in_their_order(record):
     pushes = [
         {"kind": "step", "start": 0.5, "force": [0.0, 0.0, 0.0], "torque": [0.0, 0.6, 0.8]},
         {"kind": "step", "start": 0.25, "force": [2.0, 0.0, 0.0], "torque": [0.5, 0.0, 0.0]},
-        {"kind": "step", "start": 3.5, "force": [0.0, 0.0, 0.0]},
+        {"kind": "step", "start": 0.95, "force": [0.0, 0.0, 0.0]},
+        {"kind": "step", "start": 3.5, "force": [0.0, 0.0, 0.0]},  # the run ended before
     ]
     changed = {
         "plant.disturbances": pushes,
-        "plant.friction_changes": [{"start": 3.0, "friction": 0.2}],
+        "plant.friction_changes": [{"start": 0.9, "friction": 0.2}],
         "duration": 4.0,
     }
     found = events(record, load_scenario("pull", changed), dropped=0.75)
@@ -128,11 +129,11 @@ def test_a_drop_and_pushes_stand_in_their_order(record):
         (0.25, "step of 2 N and 0.5 N m"),
         (0.5, "step of 1 N m"),
         (0.75, "the object is dropped"),
-        (3.0, "friction becomes 0.2"),
-        (3.5, "step of 0 N"),
+        (0.9, "friction becomes 0.2"),
+        (0.95, "step of 0 N"),
     ]
     cut_short = events(record, load_scenario("pull", {"duration": 4.0}))
-    assert [each.time for each in cut_short if each.kind == "disturbance"] == [2.0]
+    assert not [each for each in cut_short if each.kind == "disturbance"]
 
 
 def test_calls_and_refusals_are_told_with_what_was_asked():

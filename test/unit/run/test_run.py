@@ -80,17 +80,26 @@ class TestRecord:
         record.contact_quaternions[3, 1] = np.nan
         assert_same(seen, record)
 
-    def test_joints_may_be_named_in_any_order(self, tmp_path):
-        """The order of the first message counts; a message with other joints is ignored."""
+    def test_joints_may_be_named_in_any_order_and_among_others(self, tmp_path):
+        """The first command has those of the hand; a message without one of them is ignored."""
         with RunWriter(tmp_path / "bag") as bag:
             for at, order in enumerate((["b", "a"], ["a", "b"], ["a", "b"])):
-                bag.write("/joint_states", joint_message(order, at, position=[1.0 + at, 5.0]), at)
+                states = joint_message([*order, "wrist"], at, position=[1.0 + at, 5.0, 9.0])
+                bag.write("/joint_states", states, at)
                 other = ["a", "c"] if at == 2 else ["a", "b"]
                 bag.write("/joint_command", joint_message(other, at, effort=[20.0, 10.0]), at)
         record = Run(tmp_path / "bag").record
+        assert record.joint_names == ["a", "b"]
+        np.testing.assert_array_equal(record.theta, [[5.0, 1.0], [2.0, 5.0], [3.0, 5.0]])
+        np.testing.assert_array_equal(record.command, [[20.0, 10.0], [20.0, 10.0], [np.nan] * 2])
+
+    def test_without_commands_the_joints_are_those_of_the_first_state(self, tmp_path):
+        with RunWriter(tmp_path / "bag") as bag:
+            for at, order in enumerate((["b", "a"], ["a", "b"])):
+                bag.write("/joint_states", joint_message(order, at, position=[1.0, 5.0]), at)
+        record = Run(tmp_path / "bag").record
         assert record.joint_names == ["b", "a"]
-        np.testing.assert_array_equal(record.theta, [[1.0, 5.0], [5.0, 2.0], [5.0, 3.0]])
-        np.testing.assert_array_equal(record.command, [[10.0, 20.0], [10.0, 20.0], [np.nan] * 2])
+        np.testing.assert_array_equal(record.theta, [[1.0, 5.0], [5.0, 1.0]])
 
     def test_fingers_may_be_named_in_any_order(self, tmp_path):
         values = {"position": [0.2, 0.1], "velocity": [0.4, 0.3], "effort": [2.0, 1.0]}
