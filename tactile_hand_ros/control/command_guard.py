@@ -335,9 +335,10 @@ class CommandGuard:
 
     def _pressed(self, stamp: int, rates: Array, terms: Dynamics) -> Array:
         """Return the mean torque of the contacts, tau - M theta'' - bias, shape (m,), N m."""
-        if not self._past or stamp <= self._past[0].stamp:
+        if not self._past or stamp == self._past[0].stamp:
             return np.zeros(self._hand.joints)
-        first = self._past[0]
-        acceleration = (rates - first.rates) / (1e-9 * (stamp - first.stamp))
+        first, acceleration = self._past[0], np.zeros(self._hand.joints)
+        if stamp > first.stamp:  # otherwise time was set back
+            acceleration = (rates - first.rates) / (1e-9 * (stamp - first.stamp))
         torque = np.mean([sample.torque for sample in self._past], axis=0)
         return np.asarray(torque - terms.inertia @ acceleration - terms.bias)

@@ -395,7 +395,7 @@ class Controller:
         try:
             return self._drive(now, tips, contacts)
         except GraspError as error:
-            return self._holding(joints, str(error))
+            return self._holding(joints, str(error), grasp_force)
 
     def _with_rates(self, stamp: int, joints: Joints) -> Joints:
         """Return joints at a tick, ns, with rates from their angles if those have steps."""
@@ -758,6 +758,9 @@ class Controller:
     def _open(self, joints: Joints, contacts: Contacts, dt: float) -> Command:
         theta, rates, _ = joints
         self._enter(Mode.OPEN, theta)
+        if self.joints_held:  # they do not follow
+            self._regrasp.follow(theta)
+            dt = 0.0
         self._hold.posture = self._regrasp.posture(contacts, dt)
         torque = self._hold.spring(theta, rates) + self._weight(theta)
         reason = self._regrasp.missed or "released by the user"

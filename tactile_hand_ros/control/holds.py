@@ -229,8 +229,10 @@ class PostureHold:
         tips = self._hand.fingertips(joints.theta)
         held = self._kept(tips, weight, joints.applied, grasp_force)
         rest = held.load + self.spring(joints.theta, joints.rates) + weight
-        internal = held.internal.at(tips, 1.0)
-        return bearable_fraction(internal, rest, self._hand.effort_limits) * internal + rest
+        internal, limits = held.internal.at(tips, 1.0), self._hand.effort_limits
+        # A spring at its limit, at a finger that is pushed away, must not take the others' grasp.
+        fraction = bearable_fraction(internal, held.load + weight, limits)
+        return np.asarray(np.clip(fraction * internal + rest, -limits, limits))
 
     def _kept(
         self, tips: Fingertips, weight: Array, applied: Array | None, grasp_force: float

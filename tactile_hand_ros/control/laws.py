@@ -461,6 +461,9 @@ class OptimalLaw(ContactLaw):
 _GRIP_PHASE = 0.25  # rad that the age of touch costs the control of normal forces
 
 
+_PRESSING = 0.01  # of k_f; a finger with less shows only noise
+
+
 class NormalForceControl:
     """Integral action on the normal forces, for the law `grip`.
 
@@ -501,7 +504,7 @@ class NormalForceControl:
         c has a minimum and a maximum, N, since a dead skin never shows the wanted force. `dt` is
         the time since the last step, s, and `age` is d, s.
         """
-        pressing = fractions > 0.0
+        pressing = fractions > _PRESSING
         missing = (grasp_force - normal[pressing] / fractions[pressing]).max(initial=-math.inf)
         if math.isfinite(missing):
             raised = self.correction + _GRIP_PHASE / age * dt * float(missing)

@@ -19,7 +19,9 @@ from functools import partial
 from typing import Any, cast
 
 from rclpy.node import Node
+from std_msgs.msg import Bool
 
+from tactile_hand_ros import names
 from tactile_hand_ros.closed_loop.loop import Chain, SensingChain
 from tactile_hand_ros.compiled import Array
 from tactile_hand_ros.control.contact import Contacts
@@ -30,7 +32,7 @@ from tactile_hand_ros.nodes.manipulation_controller import ManipulationControlle
 from tactile_hand_ros.nodes.plant.node import PlantNode
 from tactile_hand_ros.nodes.slip_regulator import SlipRegulatorNode
 from tactile_hand_ros.nodes.tactile_sensor import TactileSensorNode
-from tactile_hand_ros.ros import streams
+from tactile_hand_ros.ros import qos, streams
 from tactile_hand_ros.ros.endpoints import TickFailedError
 from tactile_hand_ros.ros.node import TactileNode
 from tactile_hand_ros.ros.runner import run_nodes
@@ -109,6 +111,7 @@ class TouchedHand(_Wired):
         """Wire the nodes and subscribe."""
         super().__init__(*nodes)
         self._chain = Chain(*cast(Any, nodes))
+        self._regulator = cast(SlipRegulatorNode, nodes[0])
         controller, hand = self._controller, self._controller.hand
         declared = [
             streams.joints(hand.joint_names),
@@ -117,8 +120,23 @@ class TouchedHand(_Wired):
         ]
         if controller.config.imu:
             declared.append(streams.imu())
-        silence = controller.config.input_timeout
-        self._inputs = TickInputs(controller, declared, self, silence=silence)
+        silence, held = controller.config.input_timeout, qos.latched_qos(qos.USER_DEPTH)
+        controller.subscribe(Bool, names.JOINT_HOLD, self._on_joint_hold, profile=held)
+        self._inputs = TickInputs(controller, declared, self, observe=self.observe, silence=silence)
+
+    def _on_joint_hold(self, message: Bool) -> None:
+        self._controller.joints_held = message.data
+
+    def observe(
+        self,
+        stamp: int,
+        joints: Joints,
+        contacts: Contacts,
+        forces: Array,
+        palm: Array | None = None,
+    ) -> None:
+        """Let the regulator process a skipped tick."""
+        self._regulator.observe(stamp, contacts, forces, joints)
 
     def on_tick(
         self,

@@ -5,6 +5,7 @@ from typing import Any
 
 from geometry_msgs.msg import PoseArray, WrenchStamped
 from sensor_msgs.msg import JointState
+from std_msgs.msg import Bool
 from std_srvs.srv import SetBool, Trigger
 from support.messages import encoded
 from support.nodes import Process, counts, facts, tapped
@@ -13,7 +14,7 @@ from bench.processes import parameter_files
 from tactile_hand_ros import names
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
 from tactile_hand_ros.nodes import composed
-from tactile_hand_ros.ros.qos import TICK_DEPTH
+from tactile_hand_ros.ros.qos import TICK_DEPTH, USER_DEPTH, latched_qos
 from tactile_hand_ros.scenario.scenario import Scenario, load_scenario
 
 TICKS = 60
@@ -79,6 +80,14 @@ def test_a_node_that_fails_leaves_its_tick_without_a_command(tmp_path, monkeypat
     here.wait(lambda: facts(plant)["mode"] == "holding", "the hold")
     monkeypatch.undo()
     here.wait(lambda: facts(plant)["mode"] == "running", "the end of the hold")
+
+
+def test_the_controllers_of_a_real_hand_receive_that_a_guard_holds(tmp_path, here):
+    nodes = start(here, short("paper"), tmp_path, controllers=True)
+    for held in (True, False):
+        here.send(names.JOINT_HOLD, Bool(data=held), latched_qos(USER_DEPTH))
+        node = nodes["manipulation_controller"]
+        here.wait(lambda held=held, node=node: node.joints_held == held, "its state")
 
 
 def test_the_controllers_of_a_real_hand_answer_joints_and_touch(tmp_path, here):

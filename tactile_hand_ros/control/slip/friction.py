@@ -207,7 +207,8 @@ def _combine(memory: Rows) -> None:
                 total += ratio / error
                 variance = max(variance, ((ratio - before) / _MAX_DEVIATION) ** 2 - error)
         weight, total = weight + 1.0 / variance, total + before / variance
-        m["mean"], m["variance"] = total / weight, 1.0 / weight
+        mean = min(max(total / weight, math.log(_SMALLEST_MU)), math.log(_LARGEST_MU))
+        m["mean"], m["variance"] = mean, 1.0 / weight
 
 
 @compiled

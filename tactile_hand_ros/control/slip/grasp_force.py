@@ -152,6 +152,7 @@ def _needed(
         if not math.isnan(memory[i]["load"][0]):
             total += dot(memory[i]["internal"], normals[i])
     # A load that grows at a constant rate is ahead of its low-pass by the lag.
+    dt = min(dt, LONGEST)
     ahead = _LEAD + (dt / math.expm1(dt / _LOAD_TIME) if dt > 0.0 else _LOAD_TIME)
     for i in range(len(memory)):
         m = memory[i]

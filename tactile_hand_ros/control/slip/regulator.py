@@ -253,7 +253,7 @@ class SlipRegulator:
             self._has_grasped = True
         limit = self.config.maximum
         goal = max(self.needed, min(self.ready, _RESERVED * limit))
-        known = touching | (grasped and parts is not None)  # the others hold without it
+        known = self._known(touching)
         self._response.step(goal, slips, slides, known, self._rejected, limit, dt)
 
     def _follow_normals(self, contacts: Contacts, measured: Array, dt: float) -> None:
@@ -277,7 +277,10 @@ class SlipRegulator:
         goal = max(self._raised, self._asked)
         if not np.isnan(measured[:, ::2]).all():
             goal = max(goal, self._response.grasp_force)
-        self._response.step(goal, False, False, touching, self._rejected, c.maximum, dt)
+        if self._is_grasped(contacts) or not touching.any():
+            self._grasp = contacts if touching.any() else None
+        known = self._known(touching)
+        self._response.step(goal, False, False, known, self._rejected, c.maximum, dt)
 
     def _update_need(
         self, contacts: Contacts, parts: Split | None, at: Array, dt: float, grasped: bool = False
@@ -293,6 +296,10 @@ class SlipRegulator:
             self.needed, self.ready = needs
         load = in_contacts(contacts.rotations, required.load)
         self.carried = CarriedLoad(load, usable, required.reserve)
+
+    def _known(self, touching: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """Return which contacts touch or are not part of the grasp, shape (k,)."""
+        return touching if self._grasp is None else touching | ~self._grasp.touching
 
     def _is_grasped(self, contacts: Contacts) -> bool:
         """Return whether contacts balance by themselves; a rejected finger presses, too."""

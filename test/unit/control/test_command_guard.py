@@ -79,6 +79,13 @@ def test_where_no_time_has_passed_nothing_presses():
     np.testing.assert_allclose(held, HAND.gravity_torque(THETA), atol=1e-12)
 
 
+def test_a_clock_that_steps_back_keeps_the_grasp():
+    made = guard(**{"hold.reserve": 0.0})
+    for tick in range(100, 106):
+        step(made, tick, TORQUE)
+    np.testing.assert_allclose(step(made, 50, TORQUE, answers=105), TORQUE, atol=1e-9)
+
+
 def test_commands_take_over_in_equal_steps():
     made, other = guard(blend_time=0.008), TORQUE + np.linspace(1.0, 2.0, 9)
     tick = follow(made) + 9

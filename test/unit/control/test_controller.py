@@ -269,6 +269,30 @@ def test_gravity_is_carried_in_every_mode():
     np.testing.assert_allclose(np.subtract(*found), [weight] * 5, atol=1e-12)
 
 
+def test_a_finger_that_is_pushed_away_in_a_hold_does_not_take_the_grasp_of_the_others():
+    bench = Bench()
+    bench.step(5)
+    held = bench.step(contacts=bench.nowhere).torque
+    away = np.zeros(9)
+    away[:3] = -0.1 * np.sign(held[:3])
+    pushed = bench.step(contacts=bench.nowhere, theta=bench.theta + away)
+    assert pushed.mode is Mode.HOLD and np.abs(held[3:]).max() > 0.1
+    assert np.abs(pushed.torque[3:]).max() > 0.8 * np.abs(held[3:]).max()
+    limits = bench.controller.hand.effort_limits
+    assert (np.abs(pushed.torque) <= limits).all() and (np.abs(pushed.torque) == limits).any()
+
+
+def test_fingers_that_a_guard_holds_do_not_open_before_they_can():
+    bench = Bench()
+    bench.step(5)
+    bench.controller.release()
+    bench.controller.joints_held = True
+    bench.step(500)
+    np.testing.assert_allclose(bench.step().torque, REST, atol=1e-3)
+    bench.controller.joints_held = False
+    assert np.abs(bench.step(100).torque).max() > 0.1
+
+
 def test_contacts_that_a_slow_skin_repeats_move_with_the_fingers():
     """They are where the object, which they carry, has them, up to the second order."""
     slow, fast = Bench(), Bench()

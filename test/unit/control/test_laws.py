@@ -239,6 +239,12 @@ def test_a_dead_skin_and_a_crush_limit_bound_the_correction_of_a_grip():
     assert NormalForceControl().step(10.0, SHARES, unknown, -3.0, 2.0, 1e3, 0.01) == 10.0
 
 
+def test_a_finger_that_hardly_presses_does_not_raise_the_grip():
+    """Where f*_n of a finger is zero up to rounding, its noise shows no missing force."""
+    shares, seen = np.array([0.5, 0.5, 1e-17]), np.array([5.0, 5.0, -0.01])
+    assert NormalForceControl().step(10.0, shares, seen, -5.0, 5.0, 0.001, 0.02) == 10.0
+
+
 TORQUES = st.lists(st.floats(-60.0, 60.0), min_size=9, max_size=9).map(np.array)
 
 

@@ -149,6 +149,35 @@ def test_the_grasp_force_stays_where_the_others_need_no_more(tmp_path):
     assert regulator.grasp_force < 1.3 * before
 
 
+@pytest.mark.parametrize("measured", ["all axes", "normals"])
+def test_a_finger_that_is_not_part_of_the_grasp_is_not_lost_when_touch_is_rejected(
+    tmp_path, measured
+):
+    regulator, forces = four_fingers(tmp_path), np.zeros((4, 3))
+    for tick in range(500):
+        forces[:3, 1] = [4.0, 0.2, 4.0] + 1e-3 * np.sin(tick + np.arange(3.0))
+        if measured == "normals":
+            forces[:, ::2] = np.nan
+        if tick == 300:
+            before = regulator.grasp_force
+        regulator.reject_touch(np.array([False, 300 <= tick < 310, False, False]))
+        regulator.step(1_000_000 * tick, STILL, ring(4, [3]), forces)
+    assert regulator.grasp_force <= before
+
+
+def test_with_normal_forces_of_some_fingers_the_user_can_lower_the_grasp_force(tmp_path):
+    hand = str(write_hand(tmp_path, [3] * 4))
+    regulator = SlipRegulator(SlipRegulatorConfig(mode="shared", hand=hand))
+    forces = np.full((4, 3), np.nan)
+    for tick in range(6000):
+        if tick in (0, 2000):
+            regulator.request(8.0 if tick else 20.0)
+        forces[:, 1] = [3.0, 3.0, 3.0, 0.0] + 1e-3 * np.sin(tick + np.arange(4.0))
+        regulator.step(1_000_000 * tick, STILL, ring(4, [3]), forces)
+        assert tick != 1999 or regulator.grasp_force == pytest.approx(20.0)
+    assert regulator.grasp_force == pytest.approx(8.0)
+
+
 def test_a_contact_that_flickers_leaves_the_others_their_reserve(tmp_path):
     k_f = {}
     for every in (0, 2, 40):  # ticks from loss to loss, 0 without any

@@ -70,6 +70,13 @@ def test_after_a_slip_it_is_explored_as_it_becomes_uncertain():
     np.testing.assert_allclose(made.estimate, PRIOR * math.exp(0.5), rtol=1e-3)
 
 
+def test_after_a_false_slip_without_friction_it_is_explored_from_the_smallest_estimate():
+    made = estimator(explore=0.05)
+    np.testing.assert_allclose(slip(made, [0.02] * 3, [0, 1, 2]), 0.1)
+    feel(made, [0.02] * 3, [STICK] * 3, 500, dt=0.02)
+    assert (made.estimate > 0.1001).all()
+
+
 def test_nothing_is_learned_while_nothing_slips():
     """The mean stays forever, and the variance is that of the prior."""
     made = estimator()
