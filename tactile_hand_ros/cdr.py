@@ -185,6 +185,14 @@ class Table:
         return part.view(kind) if size else np.empty((len(part), 0))
 
 
+def is_reset(before: int, after: int) -> bool:
+    """Return whether a stamp, ns, after another one shows that time was set back.
+
+    To 0, or by more than 1 s; what is less is late or in disorder.
+    """
+    return after < before and (after == 0 or before - after > _SECOND)
+
+
 class _Cursor:
     """Parser that walks through one message and records its layout."""
 

@@ -29,6 +29,7 @@ from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray
 
 from tactile_hand_ros import names
+from tactile_hand_ros.cdr import is_reset
 from tactile_hand_ros.config.hand_config import load_hand_config
 from tactile_hand_ros.config.model import Config, param
 from tactile_hand_ros.control.contact import known_part
@@ -84,6 +85,7 @@ class ViewerNode(TactileNode[ViewerConfig]):
         self._fingers = load_hand_config(self.config.hand).finger_names
         self._corners = self.config.object.solid().triangles().reshape(-1, 3)
         self._prefix = f"{self.get_namespace()}/".lstrip("/")
+        self._time = 0  # of the last contacts, ns
         self._inputs: dict[str, tuple[Subscription, Callable[[bytes], Any]]] = {}
         self._newest: dict[str, tuple[int, Any]] = {}
         self._subscribe(names.CONTACTS, PoseArray, ContactsCodec(len(self._fingers)).decode)
@@ -110,12 +112,11 @@ class ViewerNode(TactileNode[ViewerConfig]):
         for topic, (subscription, decode) in self._inputs.items():
             data = take_latest(subscription)
             if data is not None:
-                before = self._newest.pop(topic, None)
+                self._newest.pop(topic, None)
                 with suppress(MessageError):  # the controllers reject and report it
-                    new = decode(data)
-                    if topic == names.CONTACTS and before is not None and new[0] < before[0]:
-                        self._newest.clear()  # a reset, which also drops the goal
-                    self._newest[topic] = new
+                    self._newest[topic] = decode(data)
+                    if topic == names.CONTACTS:
+                        self._note_time(self._newest[topic][0])
         frames = self._frames()
         if self._tf is not None and names.CONTACTS in self._newest:
             stamp = RosTime(nanoseconds=self._newest[names.CONTACTS][0]).to_msg()
@@ -124,6 +125,12 @@ class ViewerNode(TactileNode[ViewerConfig]):
         if self._markers.get_subscription_count():
             self._markers.publish(MarkerArray(markers=self._picture(frames)))
         self.diagnostics.tick()
+
+    def _note_time(self, stamp: int) -> None:
+        """Forget the goal, too, at a reset."""
+        if is_reset(self._time, stamp):
+            self._newest.pop(names.ACCEPTED_POSE, None)
+        self._time = stamp
 
     def _frames(self) -> dict[str, Pose]:
         """Return the known contact frames, object and goal in the palm frame."""

@@ -53,7 +53,7 @@ def motion_figure(record: Record, hand: Hand | None = None) -> Figure:
             panel.set_xlabel("time [s]")
         if len(record) > 1:
             axes[0, 0].set_xlim(record.times[0], record.times[-1])
-        handles = _motion_handles(record)
+        handles = _motion_handles(record, hand)
         figure.legend(
             handles=handles, loc="outside upper center", ncols=len(handles), columnspacing=1.2
         )
@@ -142,10 +142,11 @@ def _joints_per_finger(record: Record) -> int:
     return max(1, len(record.joint_names) // max(1, len(record.finger_names)))
 
 
-def _motion_handles(record: Record) -> list[Line2D]:
+def _motion_handles(record: Record, hand: Hand | None) -> list[Line2D]:
     """Return the legend of Fig. 3: fingers, their joints, axes and target."""
     fingers = [_handle(finger_color(i), "-", pretty(n)) for i, n in enumerate(record.finger_names)]
-    lines = JOINT_LINES[: _joints_per_finger(record)]
+    most = _joints_per_finger(record) if hand is None else int(hand.moves.sum(axis=1).max())
+    lines = JOINT_LINES[:most]
     joints = [_handle(INK, line, f"joint {j + 1}") for j, line in enumerate(lines)]
     axes = [_handle(AXES[i], "-", f"${name}$") for i, name in enumerate("xyz")]
     return [*fingers, *joints, *axes, _handle(INK, _DASHED, "target", 0.8)]

@@ -59,7 +59,7 @@ def dropped_at(record: Record, releases: Sequence[float] = ()) -> float:
     where there is one: a skin may fail. An object that a user has released, at `releases` in s,
     does not count as dropped.
     """
-    is_true = np.asarray(np.isfinite(record.object_position).all(axis=1))
+    is_true = np.asarray(np.isfinite(record.true_forces).any(axis=(1, 2)))  # 0 without contact
     points = np.where(is_true[:, None, None], record.true_positions, record.contact_positions)
     missing = np.isnan(points[:, :, 0])
     known = np.flatnonzero(is_true | ~silent(record))  # the other ticks were not recorded

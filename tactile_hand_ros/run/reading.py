@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from tactile_hand_ros import names
 from tactile_hand_ros.bag.reader import TopicMessages, decode
-from tactile_hand_ros.cdr import Table, header_stamp, tables
+from tactile_hand_ros.cdr import Table, header_stamp, is_reset, tables
 from tactile_hand_ros.closed_loop.record import Record
 from tactile_hand_ros.compiled import Array
 from tactile_hand_ros.errors import BagError
@@ -94,14 +94,13 @@ def find_fingers(topics: Iterable[str], prefix: str) -> list[str]:
 
 Times = NDArray[np.int64]
 
-_RESET = 1_000_000_000  # ns
 EARLY = 100_000_000  # ns before the first tick of its run in which a message may be logged
 
 
 def sections(messages: Mapping[str, TopicMessages], states: str) -> list[dict[str, TopicMessages]]:
     """Split the messages of a bag at its resets, oldest first.
 
-    A reset sets time back to 0 or by more than 1 s; as in `ros.ticks`, less is late or disorder.
+    See `cdr.is_reset`.
 
     Raises:
         MessageError: If a message has no valid header.
@@ -111,7 +110,7 @@ def sections(messages: Mapping[str, TopicMessages], states: str) -> list[dict[st
     starts = [
         at
         for at, before, after in zip(logged, stamps, stamps[1:], strict=False)
-        if after < before and (after == 0 or before - after > _RESET)
+        if is_reset(before, after)
     ]
     bounds = {
         topic: [0, *(_first_of_section(each, start) for start in starts), len(each.data)]

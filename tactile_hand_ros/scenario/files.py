@@ -42,7 +42,7 @@ def read_layers(path: Path, seen: tuple[Path, ...] = ()) -> dict[str, Any]:
     if data.get("hand", under.get("hand")) != under.get("hand"):
         under.pop("layout", None)  # of another hand
     given = set(_object_of(data))
-    if given & {"shape", "size", "vertices", "mesh"} and "inertia" not in given:
+    if given & {"shape", "size", "vertices", "mesh", "scale"} and "inertia" not in given:
         _object_of(under).pop("inertia", None)  # of another body
     return merged(under, data)
 

@@ -191,11 +191,12 @@ def test_steering_takes_any_number_and_refuses_what_is_none(words, said, capsys)
     [
         ("RMW_IMPLEMENTATION", "rmw_none_cpp", "which is not installed here"),
         ("HOME", None, "no hand is running"),
+        ("HOME", "/dev/null", "no hand is running"),  # a folder for logs cannot be made
     ],
 )
 def test_a_middleware_or_a_home_that_is_missing_is_one_sentence(variable, value, said):
     with isolated_domain():
-        environment = {**os.environ, variable: value}
+        environment = {**os.environ, "ROS_HOME": None, "ROS_LOG_DIR": None, variable: value}
         done = subprocess.run(
             [*COMMAND, "squeeze", "1", "--timeout", "0.1"],
             capture_output=True,
@@ -235,6 +236,14 @@ def test_live_runs_at_real_time_and_lets_the_page_turn_the_palm(
     assert options.wanted == wanted and options.interactive and options.composed
     changes = parse_changes(options.changes)
     assert changes["plant.speed"] == speed and changes.get("plant.palm_motion") == motion
+
+
+def test_live_without_the_library_of_its_page_starts_nothing(tmp_path, monkeypatch, capsys):
+    monkeypatch.setitem(sys.modules, "aiohttp", None)  # it cannot be imported
+    with isolated_domain():
+        code = main(["live", "--out", str(tmp_path / "runs"), "--no-browser"])
+    assert code == 2 and "`pip install aiohttp`" in capsys.readouterr().err
+    assert not (tmp_path / "runs").exists()
 
 
 def test_a_finished_run_is_shown_as_its_report(run, capsys):

@@ -67,6 +67,12 @@ def test_drivers_may_replace_the_simulation():
     assert [node["executable"] for node in launched(simulation="false")] == CONTROLLERS
 
 
+@pytest.mark.parametrize("word", ["True", "TRUE"])
+def test_the_simulation_may_be_asked_for_as_python_writes_it(word):
+    found = launched(simulation=word)
+    assert [node["executable"] for node in found] == ["plant", "tactile_sensor", *CONTROLLERS]
+
+
 def test_an_unknown_scenario_is_refused():
     with pytest.raises(ConfigurationError, match="no-such"):
         launched(scenario="no-such")

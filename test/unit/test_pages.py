@@ -193,6 +193,17 @@ def test_the_drivers_loop_of_the_page_holds_the_joints(own_hand, monkeypatch):
     assert (applied[-1] != 0.0).any() and told[-1].endswith("; the joints are held")
 
 
+def test_a_robot_description_is_handed_on_as_its_page_says(tmp_path, monkeypatch):
+    """ros2 ends what it echoes with a line ---, which is no XML."""
+    ros2 = tmp_path / "ros2"
+    ros2.write_text("#!/bin/sh\nprintf '<robot>\\n</robot>\\n---\\n'\n")
+    ros2.chmod(0o755)
+    monkeypatch.setenv("PATH", str(tmp_path), prepend=":")
+    [value] = re.findall(r'robot_description:=("\$\(.*\)")$', page("docs/how-to/live.md"), re.M)
+    assert "ros2 topic echo --once --field data" in value
+    assert subprocess.check_output(["sh", "-c", f"printf %s {value}"]) == b"<robot>\n</robot>"
+
+
 def test_the_files_that_pages_name_exist():
     folders = [ROOT / name for name in ("tactile_hand_ros", "test", "bench", "studies", "docs")]
     there = [f"/{path.relative_to(ROOT)}" for folder in folders for path in folder.rglob("*.py")]

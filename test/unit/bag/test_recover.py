@@ -270,3 +270,17 @@ def test_the_last_seconds_are_those_received_last_and_all_of_a_latched_topic(tmp
         with file.open("rb") as stream:
             chunk = make_reader(stream).get_summary().chunk_indexes[1]
         damage(file, lambda data, at=chunk.chunk_start_offset: data.__setitem__(at + 8, 1))
+
+
+def test_poses_that_were_accepted_stay_in_force_beside_the_last_seconds(tmp_path):
+    poses = ["/accepted/desired_pose", "/left/accepted/desired_pose"]
+    topics = [*poses, "/accepted/user_grasp_force"]
+    with BagWriter(tmp_path / "run", chunk_size=2000) as writer:
+        channels = [writer.add_channel(topic, STRING, type_hash=STRING_HASH) for topic in topics]
+        for i in range(3):
+            for channel in channels[: 3 if i != 1 else 2]:
+                writer.write(channel, numbered(10 * channel + i), 10**9 * (1 + 4 * i), 0)
+    kept = recover(tmp_path / "run", last=2.0)
+    assert summarize(kept.target).counts == dict(zip(topics, (3, 3, 1), strict=True))
+    force = [m for m in read_messages(kept.target) if m.topic == topics[2]]
+    assert [m.log_time for m in force] == [9 * 10**9]

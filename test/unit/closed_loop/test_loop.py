@@ -13,8 +13,10 @@ from tactile_hand_ros.control.contact import Contacts
 from tactile_hand_ros.control.controller import Controller
 from tactile_hand_ros.control.optimizer.force_optimizer import ForceOptimizer
 from tactile_hand_ros.control.slip.regulator import SlipRegulator
+from tactile_hand_ros.errors import DivergedError
 from tactile_hand_ros.hand.joints import Joints
 from tactile_hand_ros.run.derived import dropped_at
+from tactile_hand_ros.run.metrics import metrics
 from tactile_hand_ros.scenario.preflight import check_scenario
 from tactile_hand_ros.scenario.scenario import load_scenario
 
@@ -160,6 +162,22 @@ def test_a_run_that_diverges_ends_with_the_drop():
     record = run(ticks=60, changes={"plant.disturbances": push})
     assert 25 < len(record) < 60 and np.isfinite(record.object_position).all()
     assert 0.05 < dropped_at(record) < record.times[-1]
+
+
+def test_a_run_that_diverges_while_it_is_held_is_dropped_at_its_last_tick(monkeypatch):
+    loop, ticks = ClosedLoop(load_scenario("paper")), iter(range(7))
+    drive = loop.plant.drive
+
+    def diverging(torque_of):
+        if next(ticks) == 6:
+            raise DivergedError("too fast")
+        return drive(torque_of)
+
+    monkeypatch.setattr(loop.plant, "drive", diverging)
+    record = loop.run(20)
+    m = metrics(record, loop.scenario)
+    assert (len(record), m.is_dropped, m.goal_reached) == (7, True, False)
+    assert m.dropped_at_s == record.times[-1] == pytest.approx(0.012)
 
 
 # Properties of the object that touch cannot measure.

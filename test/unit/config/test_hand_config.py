@@ -34,6 +34,15 @@ def test_fingers_of_another_form_or_number_are_refused_in_one_sentence(fingers, 
     assert "\n" not in str(caught.value)
 
 
+def test_an_axis_that_points_nowhere_is_refused_in_one_sentence():
+    fingers = [{"name": name, "tip": "t", "axis": [0.0, 0.0, -1e-3]} for name in "ab"]
+    assert hand([], fingers=fingers).fingers[1].axis == (0.0, 0.0, -1e-3)
+    fingers[1]["axis"] = [0, 0, 0]
+    with pytest.raises(ConfigurationError, match=r"fingers.1..axis is .*: axis is 0") as caught:
+        hand([], fingers=fingers)
+    assert "\n" not in str(caught.value)
+
+
 @pytest.mark.parametrize("name", ["", "1a", "a-b", "a b", "é", "a" * 61, "a\n"])
 def test_a_name_that_is_no_part_of_a_topic_or_given_twice_is_refused(name):
     with pytest.raises(ConfigurationError, match="is .*, but should match pattern"):

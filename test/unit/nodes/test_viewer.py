@@ -111,6 +111,22 @@ def test_what_is_no_measurement_is_not_shown(stage: Stage) -> None:
         assert set(stage.show()) == {"", "contacts"}
 
 
+def test_a_reset_drops_the_goal_until_the_next_is_accepted(stage: Stage) -> None:
+    def accept(x: float) -> None:
+        stage.send("accepted/desired_pose", pose_message([x, 1.0, 0.0], STRAIGHT, 5))
+
+    accept(1.0)
+    for stamp in (5_000_000_000, 5_002_000_000):
+        stage.send("tactile/contacts", contacts_message(TOUCH, TURNS, stamp))
+        assert set(stage.show()) == {"", "goal", "contacts"}
+    stage.send("tactile/contacts", contacts_message(TOUCH, TURNS, 4_998_000_000))  # late
+    assert set(stage.show()) == {"", "goal", "contacts"}
+    stage.send("tactile/contacts", contacts_message(TOUCH, TURNS, 0))
+    assert set(stage.show()) == {"", "contacts"}
+    accept(2.0)
+    assert place(stage.show()["goal"][0]) == [2.0, 1.0, 0.0]
+
+
 def test_a_best_effort_publisher_is_shown_and_wakes_nobody(stage: Stage) -> None:
     """An untaken QoS event would keep the executor awake, even after the publisher has left."""
     profile = QoSProfile(depth=10, reliability=QoSReliabilityPolicy.BEST_EFFORT)

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """From options to exit code: rejected input, for which nothing is started."""
 
+import io
 import os
 import re
 import signal
@@ -14,12 +15,15 @@ from tactile_hand_ros.errors import ConfigurationError, TactileHandError
 from tactile_hand_ros.names import PLANT, RECORDER
 from tactile_hand_ros.orchestrator.command import main, split_ros_arguments
 from tactile_hand_ros.orchestrator.execute import (
+    _conclude,
     execute,
     shares_process,
     single_run_lock,
 )
+from tactile_hand_ros.orchestrator.monitor import line_console
 from tactile_hand_ros.orchestrator.options import RunOptions
-from tactile_hand_ros.orchestrator.session import STOP_ORDER, Plan
+from tactile_hand_ros.orchestrator.run_directory import RunDirectory
+from tactile_hand_ros.orchestrator.session import STOP_ORDER, Plan, RunOutcome
 from tactile_hand_ros.ros.middleware import full_namespace, graph_node, ros_context
 from tactile_hand_ros.scenario.scenario import load_scenario
 
@@ -81,6 +85,16 @@ def test_a_run_ends_with_the_tick_at_its_duration_or_never_and_the_recorder_ends
     assert Plan(SCENARIO).end == 100_000_000
     assert Plan(SCENARIO, interactive=True).end is None
     assert STOP_ORDER[-1] == (RECORDER,) and PLANT in STOP_ORDER[0]
+
+
+@pytest.mark.parametrize("failure", ["plant ended", ""])
+def test_without_room_for_the_summary_the_reasons_are_still_told(tmp_path, capsys, failure):
+    directory, plan = RunDirectory(tmp_path), Plan(SCENARIO, record=False)
+    directory.summary.mkdir()
+    ending = plan, directory, RunOutcome(failure=failure), RunOptions(), 0
+    assert _conclude(*ending, line_console(io.StringIO())) == 1
+    told = capsys.readouterr().err.splitlines()
+    assert told == [*filter(None, [failure]), "summary.json cannot be written: Is a directory"]
 
 
 @pytest.mark.parametrize(

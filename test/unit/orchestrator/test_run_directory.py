@@ -2,6 +2,8 @@
 """Run directories are unique, linked, and hold a scenario for another run."""
 
 import datetime
+from pathlib import Path
+from unittest.mock import Mock
 
 import pytest
 import yaml
@@ -41,3 +43,10 @@ def test_root_that_is_a_file_is_refused(tmp_path):
     (tmp_path / "runs").touch()
     with pytest.raises(ConfigurationError, match="choose another --out"):
         RunDirectory.create(tmp_path / "runs", "paper")
+
+
+def test_a_file_system_without_links_has_no_latest(tmp_path, monkeypatch):
+    monkeypatch.setattr(Path, "symlink_to", Mock(side_effect=PermissionError(1, "no links")))
+    runs = [RunDirectory.create(tmp_path, "paper", NOON) for _ in range(2)]
+    assert sorted(tmp_path.iterdir()) == [run.path for run in runs]
+    assert (runs[1].path / "logs").is_dir() and (runs[1].path / "parameters").is_dir()

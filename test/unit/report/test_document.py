@@ -8,6 +8,7 @@ import base64
 import json
 import re
 import tempfile
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -191,6 +192,19 @@ def test_a_dropped_object_is_the_headline(tmp_path: Path) -> None:
     assert document["headline"] == "object dropped at 0.040 s"
     assert "dropped" in [event["kind"] for event in document["events"]]
     assert np.isnan(values(document, "position_error")[20:]).all()
+
+
+def test_a_drop_is_shown_even_behind_more_contacts_than_a_page_lists() -> None:
+    record = random_record(500, truth=False)
+    record.contact_positions[1::2, 1] = np.nan  # lost and made in turn
+    record.contact_positions[490:, 1:], record.forces[490:] = np.nan, 0.0
+    result = Result(record, None)
+    assert len(result.events) > 450
+    document = run_document(result)
+    shown, of_all = document["events"], [asdict(event) for event in result.events]
+    assert len(shown) == 400 and shown == sorted(shown, key=lambda event: event["time"])
+    assert shown[-1]["kind"] == "dropped" and shown[-1]["time"] == pytest.approx(0.98)
+    assert shown[:399] == of_all[:399]
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,9 @@ from support.recorded import random_record
 
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
 from tactile_hand_ros.closed_loop.record import Record
+from tactile_hand_ros.hand.hand import Hand
 from tactile_hand_ros.report.figures import friction_figure, motion_figure
+from tactile_hand_ros.report.page import Result
 from tactile_hand_ros.report.scene import grasp_figure
 from tactile_hand_ros.report.style import AXES, DPI, PAGE, finger_color, save
 from tactile_hand_ros.scenario.scenario import load_scenario
@@ -63,6 +65,22 @@ def test_lines_are_the_numbers_of_the_record() -> None:
     np.testing.assert_array_equal(forces.lines[0].get_ydata(), GOOD.forces[1:, 0, 1])
     expected = GOOD.grasp_force * GOOD.optimal_forces[:, 0, 1]
     np.testing.assert_array_equal(forces.lines[1].get_ydata(), expected)
+
+
+def test_a_rate_has_the_color_of_the_finger_that_its_joint_moves() -> None:
+    """The thumb is this hand's first finger and has its last two joints."""
+    hand = Hand.load("ability")
+    record = Record.empty(5, hand.finger_names, hand.joint_names)
+    record.stamps[:] = 2_000_000 * np.arange(5)
+    record.rates[:] = np.arange(20.0).reshape(5, 4)
+
+    def colors(figure: Figure) -> list[str]:
+        return [line.get_color() for line in figure.axes[0].lines]
+
+    expected = [finger_color(finger) for finger in (1, 2, 0, 0)]
+    assert colors(Result(record, load_scenario("ability")).plot()) == expected
+    assert colors(motion_figure(record, hand)) == expected
+    assert colors(motion_figure(record)) == [finger_color(joint) for joint in range(4)]
 
 
 def test_same_record_gives_same_files(tmp_path: Path) -> None:

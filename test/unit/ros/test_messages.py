@@ -139,6 +139,15 @@ def test_an_imu_is_read_by_ros_and_by_us_and_knows_only_its_orientation(stamp):
         ImuCodec().decode(ImuCodec().encode(2.0 * quaternion, stamp))
 
 
+def test_an_imu_that_declares_no_orientation_is_refused():
+    message = Imu()  # at rest, of unknown covariance
+    stamp, orientation = ImuCodec().decode(serialize_message(message))
+    assert stamp == 0 and orientation.tolist() == [0.0, 0.0, 0.0, 1.0]
+    message.orientation_covariance[0] = -1.0
+    with pytest.raises(MessageError, match=r"orientation_covariance\[0\] is -1"):
+        ImuCodec().decode(serialize_message(message))
+
+
 @given(stamps, vectors(3))
 def test_pose_and_clock_are_read_by_ros_and_by_us(stamp, position):
     (quaternion,) = unit_quaternions(1)

@@ -85,6 +85,15 @@ def test_ticks_before_the_contacts_have_closed_do_not_count(still):
     assert lines(still)["A3"].held_fraction == pytest.approx(34 / 35)
 
 
+def test_contacts_close_after_the_first_tick_whenever_that_is(still):
+    still.stamps[:] += 17 * 10**17  # of a clock that counts from the epoch
+    still.forces[4, 0, 0] = 5.0
+    assert lines(still)["A3"].held_fraction == 1.0
+    still.forces[6, 0, 0] = 5.0
+    line = lines(still)["A3"]
+    assert line.held_fraction < 1.0 and line.broken == [(still.times[6], still.times[6])]
+
+
 def test_margins_are_those_of_each_posture(still):
     still.contact_positions[0] = still.contact_quaternions[0] = np.nan
     still.theta[20:] += np.linspace(-0.3, 0.4, 9)

@@ -41,6 +41,17 @@ def test_a_drop_is_for_good(fingers, time):
     assert dropped_at(touched(*fingers)) == pytest.approx(time, nan_ok=True)
 
 
+def test_the_ground_truth_judges_a_drop_where_there_is_one():
+    failed, real = touched(3, 3, 1, 1), touched(3, 3, 3, 3)
+    for record in (failed, real):
+        record.true_forces[:] = record.true_positions[:] = 0.0
+    assert math.isnan(dropped_at(failed))
+    real.true_positions[3:, 1:] = np.nan
+    assert dropped_at(real) == pytest.approx(0.3)
+    failed.true_forces[:] = np.nan
+    assert dropped_at(failed) == pytest.approx(0.2)
+
+
 def test_what_is_let_go_is_not_dropped():
     assert math.isnan(dropped_at(touched(3, 3, 0), releases=[0.1]))
     assert dropped_at(touched(3, 3, 0, 0), releases=[0.3]) == pytest.approx(0.2)

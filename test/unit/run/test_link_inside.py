@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """A link inside the object is found after a run, in numbers, events and tables."""
 
+import sys
+
 import numpy as np
 import pytest
 from support.hands import changed, prism_grasp
@@ -50,3 +52,11 @@ def test_without_ground_truth_or_a_hand_there_is_none(run, tmp_path):
     (tmp_path / "hand.urdf").unlink()
     lost = RunData(run.record, run.scenario)
     assert lost.metrics.link_inside == "" and np.isnan(lost.metrics.link_inside_s)
+
+
+def test_without_the_library_that_reads_meshes_the_other_metrics_remain(run, monkeypatch):
+    monkeypatch.setitem(sys.modules, "trimesh", None)
+    mesh = {"vertices": [], "mesh": "mug.stl"}
+    body = {f"plant.object.{name}": value for name, value in mesh.items()}
+    m = RunData(run.record, run.scenario.changed(body)).metrics
+    assert (m.ticks, m.link_inside) == (1001, "") and np.isnan(m.link_inside_s)

@@ -147,6 +147,22 @@ def test_lost_contacts():
     assert m.max_required_friction["b"] == 0.0
 
 
+def test_up_to_four_ticks_at_the_end_may_lack_an_answer():
+    """A recording may end between a tick and its answer."""
+    record = still_record()
+    record.auxiliary_position[6, 2], record.optimal_forces[6] = 0.004, [0.0, 0.4, 0.0]
+    for array in (record.command, record.optimal_forces, record.grasp_force):
+        array[7:] = np.nan
+    record.auxiliary_position[7:] = record.auxiliary_quaternion[7:] = np.nan
+    m = metrics(record, SCENARIO)
+    assert (m.ticks, m.simulated_time_s, m.goal_reached) == (11, 1.0, True)
+    assert (m.final_position_error_m, m.final_rotation_error_rad) == (pytest.approx(0.004), 0.0)
+    assert m.optimal_normal_forces_N == pytest.approx({"a": 4.0, "b": 4.0, "c": 4.0})
+    record.command[6] = np.nan
+    m = metrics(record, SCENARIO)
+    assert math.isnan(m.final_position_error_m) and m.goal_reached is False
+
+
 def test_an_object_that_was_lost():
     """The final values are unknown: no number is made up, and the goal is not reached."""
     record = still_record()

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from support.hands import write_hand
-from support.messages import force_message, joint_message, pose_message
+from support.messages import force_message, joint_message, pose_message, serialized
 from support.recorded import (
     LATENCY,
     PERIOD,
@@ -20,9 +20,10 @@ from support.recorded import (
     write_tick,
 )
 
+from tactile_hand_ros.bag.reader import TopicMessages
 from tactile_hand_ros.closed_loop.record import Record
 from tactile_hand_ros.errors import BagError
-from tactile_hand_ros.run.reading import find_fingers, find_prefix
+from tactile_hand_ros.run.reading import find_fingers, find_prefix, sections
 from tactile_hand_ros.run.result import columns
 from tactile_hand_ros.run.run import Run
 from tactile_hand_ros.scenario.scenario import load_scenario, resolved
@@ -282,6 +283,19 @@ def test_each_reset_begins_a_section_with_its_own_messages(tmp_path):
         [10.0, 11.0, 12.0],
         [20.0, 21.0],
     ]
+
+
+def test_time_that_steps_back_a_little_is_disorder_and_no_reset():
+    def ticks(*times: float) -> list[int]:
+        stamps = [round(1e9 * time) for time in times]
+        data = [serialized(joint_message(NAMES, stamp, position=[1.0, 2.0])) for stamp in stamps]
+        states = TopicMessages([START + row * PERIOD for row in range(len(data))], data)
+        split = sections({"/joint_states": states}, "/joint_states")
+        return [len(each["/joint_states"].data) for each in split]
+
+    assert ticks(5.0, 6.0, 5.999, 7.0) == [4]
+    assert ticks(5.0, 6.0, 5.0, 7.0) == [4]
+    assert ticks(5.0, 6.0, 4.9) == ticks(5.0, 6.0, 0.0) == ticks(0.5, 0.6, 0.0) == [2, 1]
 
 
 @pytest.mark.parametrize("late", [0, 1])

@@ -38,6 +38,20 @@ def test_a_law_may_be_named_in_four_ways(tmp_path):
             load_scenario(str(path))
 
 
+def test_an_inertia_is_inherited_only_with_its_body(tmp_path):
+    path, papers = tmp_path / "mine.yaml", [0.0014, 0.0014, 0.0014]
+    own, other = [1e-6, 2e-6, 2.5e-6], "plant: {object: {%s}}\n"
+    for changes, inertia in (
+        ("size: [0.2604, 0.2604, 0.25]", []),
+        ("shape: sphere, mass: 0.002", []),
+        (f"size: [0.2604, 0.2604, 0.25], inertia: {own}", own),
+        ("mass: 0.002", papers),
+    ):
+        path.write_text("extends: paper\n" + other % changes)
+        assert load_scenario(str(path)).plant.object.inertia == inertia, changes
+    assert load_scenario("paper").plant.object.inertia == papers
+
+
 def test_a_mesh_is_next_to_the_scenario_or_below_the_working_directory(tmp_path, monkeypatch):
     (tmp_path / "base.yaml").write_text("plant: {object: {mesh: parts/mug.stl, scale: 0.001}}\n")
     (tmp_path / "deep").mkdir()

@@ -231,6 +231,13 @@ def test_each_finger_has_its_own_fault():
     same(skin.step(3 * TICK, truth(3e-9 * TICK)), truth(3e-9 * TICK))
 
 
+def test_a_lost_sample_of_a_wrong_finger_repeats_the_last():
+    first, *later = readings(sensor(dropout=1.0, faults=["wrong"] * 3), 3)
+    np.testing.assert_allclose(first.forces, 3.0 * truth().forces)
+    for reading in later:
+        same(reading, first)
+
+
 def test_the_first_sample_of_a_stuck_finger_is_the_true_one():
     same(readings(sensor(faults=["stuck"] * 3), 1)[0], truth())
 

@@ -9,6 +9,7 @@ import pytest
 
 from tactile_hand_ros.cli import main
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
+from tactile_hand_ros.closed_loop.record import Record
 from tactile_hand_ros.errors import ConfigurationError
 from tactile_hand_ros.run.metrics import metrics
 from tactile_hand_ros.scenario.scenario import load_scenario
@@ -83,6 +84,14 @@ def test_paths_lead_into_lists_and_whole_numbers_stay_whole():
         make_sweep("gravity", ["gravity.3=0..1"], {})
 
 
+def test_a_seed_that_is_set_is_that_of_all_runs():
+    made = make_sweep("gravity", ["plant.object.mass=0.1..0.3"], {"seed": 3}, runs=4)
+    points = [made.point(index) for index in range(4)]
+    scenarios = [made.run.scenario_of(point) for point in points]
+    assert [(each.seed, each.tactile_sensor.seed) for each in scenarios] == [(3, 3)] * 4
+    assert len({each.plant.object.mass for each in scenarios}) == 4
+
+
 def test_the_margin_is_what_the_true_friction_leaves():
     scenario = load_scenario("gravity", {"duration": 0.1, "targets": []})
     record = ClosedLoop(scenario).run()
@@ -95,3 +104,16 @@ def test_the_margin_is_what_the_true_friction_leaves():
     assert outcome(record, found) in ("reached", "missed")
     record.true_positions[-1, 0] = np.nan
     assert outcome(record, found) == "lost"
+
+
+def test_the_friction_is_another_one_only_after_the_tick_of_its_change():
+    change = {"start": 0.3, "friction": 0.2}
+    scenario = load_scenario(
+        "gravity", {"plant.object.friction": 0.8, "plant.friction_changes": [change]}
+    )
+    record = Record.empty(3, ["a", "b"], ["j"])
+    record.stamps[:] = 200_000_000, 300_000_000, 400_000_000
+    record.true_positions[:], record.true_forces[:] = 0.0, (0.0, 1.0, 0.0)
+    record.true_forces[1, 1, 0], record.true_forces[2, 0, 2] = 0.4, 0.12
+    assert record.times[1] > 0.3  # as doubles
+    assert friction_margin(record, scenario) == pytest.approx(1.0 - 0.12 / 0.2)

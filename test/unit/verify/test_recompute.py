@@ -79,6 +79,20 @@ def test_same_configuration_gives_the_same_bits(gravity, tmp_path):
     assert all(c.compared == len(gravity[1]) > 100 for c in result)
 
 
+def test_a_run_whose_driver_reports_no_torques_gives_the_same_bits(tmp_path):
+    scenario = load_scenario("user_grip", GRIP)
+    loop = ClosedLoop(scenario)
+    answer = loop.chain.answer
+    loop.chain.answer = lambda stamp, joints, *touch: answer(
+        stamp, joints._replace(applied=None), *touch
+    )
+    record = loop.run()
+    record.torque[:] = np.nan
+    result = recompute(write(tmp_path, scenario, record))
+    assert [c for c in result if not c.same] == []
+    assert all(c.compared == len(record) for c in result)
+
+
 def test_first_tick_that_differs_is_named(paper, tmp_path):
     scenario, record = paper
     record = copy.deepcopy(record)

@@ -292,6 +292,16 @@ def test_a_paused_plant_takes_single_steps(here: Process, make: Callable[..., Ri
     assert (refused.success, refused.message) == (False, "the plant is not paused")
 
 
+def test_a_step_in_real_time_is_one_tick_however_many_are_due(here, make) -> None:
+    rig = make(pacing="realtime", autostart=False)
+    rig.node._driver._pace.due = lambda: 3
+    for tick in (1, 2):
+        assert here.call(Trigger, "plant/step").success
+        rig.send(tick - 1)
+        rig.until("paused")
+        assert rig.now == tick
+
+
 def test_after_an_unanswered_step_the_plant_runs_without_end(here, make) -> None:
     rig = make(autostart=False)
     assert here.call(Trigger, "plant/step").success
