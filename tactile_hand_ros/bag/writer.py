@@ -54,8 +54,10 @@ class BagWriter:
         Raises:
             BagError: If the folder exists or cannot be created.
         """
+        self.path = self.folder / f"{self.folder.resolve().name}_0.mcap"
         try:
             self.folder.mkdir(parents=True)
+            self._file = self.path.open("xb")
         except FileExistsError:
             raise BagError(
                 f"The output {self.folder} exists already, expected a new folder; choose another "
@@ -66,12 +68,10 @@ class BagWriter:
                 f"The output {self.folder} cannot be created: {error.strerror}; choose a writable "
                 "folder."
             ) from None
-        self.path = self.folder / f"{self.folder.resolve().name}_0.mcap"
         self.is_open = True
         self._start, self._end = NO_START, 0
         self._topics: list[TopicMetadata] = []
         self._schemas: dict[tuple[str, MessageDefinition], int] = {}
-        self._file = self.path.open("xb")
         self._writer = Writer(
             self._file,
             chunk_size=self.chunk_size,

@@ -170,6 +170,7 @@ class SlipRegulatorNode(TactileNode[SlipRegulatorConfig]):
         """
         super().__init__("slip_regulator", SlipRegulatorConfig, **kwargs)
         self._regulator = SlipRegulator(self.config)
+        self._fresh: float | None = None  # k_f requested since the last tick, N
         hand = self._regulator.hand
         fingers = self._fingers = hand.finger_names
         self._changes = AppliedChanges(self, names.REGULATOR, commands=True)
@@ -235,10 +236,15 @@ class SlipRegulatorNode(TactileNode[SlipRegulatorConfig]):
         self._regulator.reset()
         self._report.reset()
         self._changes.begin(self.config)
+        if self._fresh is not None:  # requested before the plant continued
+            self._request(self._fresh)
 
     def _on_user_force(self, data: bytes) -> None:
-        force = read_number(data)
+        self._request(read_number(data))
+
+    def _request(self, force: float) -> None:
         self._regulator.request(force)
+        self._fresh = force
         self._changes.add(self._force_publisher, partial(self._encode, (0.0, force, 0.0)))
 
     def reject_touch(self, rejected: NDArray[np.bool_]) -> None:
@@ -263,6 +269,7 @@ class SlipRegulatorNode(TactileNode[SlipRegulatorConfig]):
         self.joints_held = message.data
 
     def _on_reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        self._fresh = None
         self.on_restart()
         self._changes.request("reset")
         response.success, response.message = True, f"k_f = {self._regulator.grasp_force:g} N"
@@ -274,6 +281,7 @@ class SlipRegulatorNode(TactileNode[SlipRegulatorConfig]):
 
     def step(self, stamp: int, joints: Joints, contacts: Contacts, forces: Array) -> float:
         """Publish grip, load and k_f and return k_f; see `SlipRegulator.step`."""
+        self._fresh = None
         with self.answering():
             regulator, maximum = self._regulator, self.config.maximum
             grasp_force = regulator.step(stamp, joints, contacts, forces)
@@ -295,6 +303,7 @@ class SlipRegulatorNode(TactileNode[SlipRegulatorConfig]):
 
     def observe(self, stamp: int, contacts: Contacts, forces: Array, joints: Joints) -> None:
         """Process a skipped tick, because slip detection needs every sample."""
+        self._fresh = None
         self._regulator.step(stamp, joints, contacts, forces)
         self._changes.take_effect(stamp)
 

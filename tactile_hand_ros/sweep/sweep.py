@@ -4,15 +4,20 @@
 from __future__ import annotations
 
 import math
+import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from hashlib import sha256
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from tactile_hand_ros.closed_loop.loop import ClosedLoop
 from tactile_hand_ros.closed_loop.record import Record
+from tactile_hand_ros.config.hand_config import load_hand_config
 from tactile_hand_ros.config.model import leaves
+from tactile_hand_ros.config.plain_yaml import find_file
 from tactile_hand_ros.control.grasp import required_friction
 from tactile_hand_ros.errors import ConfigurationError
 from tactile_hand_ros.own_law import take_law
@@ -115,4 +120,15 @@ def make_sweep(
             base.changed({path: value})
     if "seed" in fixed:  # not those of the runs
         parsed.append(("seed", Choice((base.seed,))))
-    return Study(dict(parsed), ScenarioRun(base), runs, seed, {"scenario": plain(base)})
+    return Study(dict(parsed), ScenarioRun(base), runs, seed, _description(base))
+
+
+def _description(base: Scenario) -> dict[str, Any]:
+    """Return what a sweep is continued with: the scenario, and the content of its own files."""
+    files = [find_file("hand", base.hand), load_hand_config(base.hand).file]
+    files += [Path(base.plant.object.mesh)] if base.plant.object.mesh else []
+    law, _, is_own = base.manipulation_controller.law.name.partition(":")
+    if is_own and getattr(sys.modules[law], "__file__", None):  # not of a notebook
+        files.append(Path(str(sys.modules[law].__file__)))
+    digests = {f"content of {each}": sha256(each.read_bytes()).hexdigest()[:16] for each in files}
+    return {"scenario": plain(base), **digests}

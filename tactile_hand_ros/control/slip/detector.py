@@ -213,6 +213,9 @@ def _watch(
         m["touched_for"] += min(dt, LONGEST)
         if fresh[i]:
             _shake(m, pressed[i], internal[i])
+        elif m["since"] > _SILENCE * m["period"]:
+            m["evidence"] = m["excess"] = 0.0
+            m["agrees"] = False
         shaken = max(shaken, m["excess"])
     for i in range(len(memory)):
         m, force = memory[i], forces[i]
@@ -221,9 +224,6 @@ def _watch(
         normal = dot(force, normals[i])
         if fresh[i]:
             _take(m, config[0], force, normal, internal[i], freedoms, shaken)
-        elif m["since"] > _SILENCE * m["period"]:
-            m["evidence"] = 0.0
-            m["agrees"] = False
         _decide(m, normal, min(dt, LONGEST))
 
 

@@ -74,7 +74,6 @@ class WriterProcess:
         self._pipe = self.process.stdin.fileno()
         with contextlib.suppress(OSError):  # a smaller pipe only makes more messages wait here
             fcntl.fcntl(self._pipe, fcntl.F_SETPIPE_SZ, _PIPE_SIZE)
-        os.set_blocking(self._pipe, False)
         self._messages: list[Message] = []
         self._waiting = bytearray()
         self._channels = 0
@@ -88,6 +87,7 @@ class WriterProcess:
         reply = self._replies.readline()
         if reply != _OPEN:
             raise self._error(reply)
+        os.set_blocking(self._pipe, False)
 
     def add_channel(
         self, topic: str, type_name: str, offers: Sequence[OfferedQos] = (), type_hash: str = ""

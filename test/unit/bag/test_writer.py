@@ -87,6 +87,11 @@ def test_bag_without_messages_is_valid(tmp_path):
     assert summarize(tmp_path / "new" / "empty").counts == {}
 
 
+def test_a_name_that_is_too_long_for_its_file_is_refused(tmp_path):
+    with pytest.raises(BagError, match="cannot be created: File name too long"):
+        BagWriter(tmp_path / ("x" * 252))
+
+
 def test_full_disk_is_a_clear_error_and_what_was_written_can_be_recovered(tmp_path, small_disk):
     writer = BagWriter(tmp_path / "run", chunk_size=10_000)
     channel = add_string(writer)

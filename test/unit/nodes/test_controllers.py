@@ -422,6 +422,29 @@ def test_ticks_that_start_over_forget_all_poses_but_those_sent_meanwhile(here):
     assert [stamp_to_ns(each.header.stamp) for each in poses] == [2 * TICK, 0]
 
 
+def test_ticks_that_start_over_keep_a_grasp_force_that_was_requested_meanwhile(here):
+    node = here.make(SlipRegulatorNode, mode="user", grasp_force=10.0, rise_rate=1e6)
+    here.receive(WrenchStamped, names.ACCEPTED_FORCE)
+
+    def request(force: float) -> None:
+        topic = f"/{names.USER_GRASP_FORCE}"
+        (found,) = [each for each in node.subscriptions if each.topic_name == topic]
+        found.callback(serialize_message(Float64(data=force)))
+
+    request(7.0)
+    tick(node, 5 * TICK)
+    node.on_restart()
+    assert tick(node, 0) == tick(node, TICK) == 10.0
+    request(12.0)
+    node.on_restart()
+    assert tick(node, 0) == 10.0 and tick(node, TICK) > 10.0
+    forces = here.messages(names.ACCEPTED_FORCE, 2)
+    assert [(stamp_to_ns(f.header.stamp), f.wrench.force.y) for f in forces] == [
+        (5 * TICK, 7.0),
+        (0, 12.0),
+    ]
+
+
 def test_a_minimum_that_exceeds_the_grasp_force_is_refused_and_changes_nothing(here):
     node = here.make(ForceOptimizerNode, minimum_normal=0.1)
 

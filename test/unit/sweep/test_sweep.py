@@ -117,3 +117,16 @@ def test_the_friction_is_another_one_only_after_the_tick_of_its_change():
     record.true_forces[1, 1, 0], record.true_forces[2, 0, 2] = 0.4, 0.12
     assert record.times[1] > 0.3  # as doubles
     assert friction_margin(record, scenario) == pytest.approx(1.0 - 0.12 / 0.2)
+
+
+def test_a_sweep_is_not_continued_with_another_law(tmp_path, capsys):
+    """Under the same name: its results would be mixed with those of the law before."""
+    law = tmp_path / "weak_law.py"
+    law.write_text("from tactile_hand_ros.control.laws import OptimalLaw as Weak\n")
+    (tmp_path / "mine.yaml").write_text("extends: paper\nduration: 0.02\nlaw: weak_law:Weak\n")
+    words = ["sweep", str(tmp_path / "mine.yaml"), "--over", MASS, "--runs", "2", "--jobs", "1"]
+    words += ["--out", str(tmp_path / "out")]
+    assert main(words) == main(words) == 0
+    law.write_text("from tactile_hand_ros.control.laws import KawamuraLaw as Weak\n")
+    assert main(words) == 2
+    assert f"content of {law.resolve()} is" in capsys.readouterr().err

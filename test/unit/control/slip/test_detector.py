@@ -123,14 +123,15 @@ def test_noise_of_measured_torques_hides_no_slip(unknown):
     assert slipping(jerks, pressed) == [False, True]
 
 
-def test_a_finger_that_has_let_go_excuses_no_other():
-    detector, normals, new = SlipDetector(SlipDetectorConfig(), 2), normals_of(2), np.ones(2, bool)
+@pytest.mark.parametrize("repeats", [False, True])
+def test_a_finger_that_has_let_go_or_whose_skin_is_stuck_excuses_no_other(repeats):
+    detector, normals = SlipDetector(SlipDetectorConfig(), 2), normals_of(2)
     forces = np.stack([sticking(520, seed=3), slips_once()], axis=1)
-    forces[499:, 0], pressed = np.nan, np.zeros((520, 2, 3))
-    pressed[498, 0] = 5.0
+    forces[494:, 0], pressed = forces[493, 0] if repeats else np.nan, np.zeros((520, 2, 3))
+    pressed[493, 0] = 5.0
     told = [
-        detector.step(f, normals, normals, new, DT, pressed=p)
-        for f, p in zip(forces, pressed, strict=True)
+        detector.step(f, normals, normals, np.array([i < 494, True]), DT, pressed=p)
+        for i, (f, p) in enumerate(zip(forces, pressed, strict=True))
     ]
     assert SLIP in np.array(told)[:, 1]
 

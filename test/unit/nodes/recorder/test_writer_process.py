@@ -7,6 +7,7 @@ import subprocess
 import sys
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import psutil
 import pytest
@@ -23,8 +24,8 @@ TYPE = "std_msgs/msg/Float64"
 MESSAGE = b"\0\1\0\0" + bytes(8)
 
 
-def started(folder: Path) -> WriterProcess:
-    return WriterProcess(folder, compression="zstd")
+def started(folder: Path, **options: Any) -> WriterProcess:
+    return WriterProcess(folder, compression="zstd", **options)
 
 
 def fill(writer: BagWriter | WriterProcess) -> None:
@@ -53,7 +54,7 @@ def test_a_pipe_that_may_not_grow_is_used_as_it_is(tmp_path, monkeypatch):
 
     kernel = SimpleNamespace(fcntl=refuse, F_SETPIPE_SZ=writer_process.fcntl.F_SETPIPE_SZ)
     monkeypatch.setattr(writer_process, "fcntl", kernel)
-    fill(started(tmp_path / "bag"))
+    fill(started(tmp_path / "bag", custom_data={"scenario": "x" * 200_000}))
     assert len(list(read_messages(tmp_path / "bag"))) == 3000
 
 
