@@ -111,7 +111,7 @@ class TouchedHand(_Wired):
         """Wire the nodes and subscribe."""
         super().__init__(*nodes)
         self._chain = Chain(*cast(Any, nodes))
-        self._regulator = cast(SlipRegulatorNode, nodes[0])
+        regulator = cast(SlipRegulatorNode, nodes[0])
         controller, hand = self._controller, self._controller.hand
         declared = [
             streams.joints(hand.joint_names),
@@ -122,21 +122,16 @@ class TouchedHand(_Wired):
             declared.append(streams.imu())
         silence, held = controller.config.input_timeout, qos.latched_qos(qos.USER_DEPTH)
         controller.subscribe(Bool, names.JOINT_HOLD, self._on_joint_hold, profile=held)
-        self._inputs = TickInputs(controller, declared, self, observe=self.observe, silence=silence)
+        self._inputs = TickInputs(
+            controller,
+            declared,
+            self,
+            observe=lambda stamp, joints, *seen: regulator.observe(stamp, seen[0], seen[1], joints),
+            silence=silence,
+        )
 
     def _on_joint_hold(self, message: Bool) -> None:
         self._controller.joints_held = message.data
-
-    def observe(
-        self,
-        stamp: int,
-        joints: Joints,
-        contacts: Contacts,
-        forces: Array,
-        palm: Array | None = None,
-    ) -> None:
-        """Let the regulator process a skipped tick."""
-        self._regulator.observe(stamp, contacts, forces, joints)
 
     def on_tick(
         self,

@@ -11,7 +11,6 @@ from rich.console import Console
 
 from tactile_hand_ros.cockpit.config import LINK, CockpitConfig
 from tactile_hand_ros.command_line import open_in_browser
-from tactile_hand_ros.extras import optional
 from tactile_hand_ros.names import COCKPIT
 from tactile_hand_ros.orchestrator.processes import NodeDiedError, Processes
 from tactile_hand_ros.orchestrator.run_directory import RunDirectory
@@ -24,12 +23,7 @@ _PAUSE = 0.05  # s between two looks at the output of the cockpit
 def cockpit(
     plan: Plan, directory: RunDirectory, console: Console, *, port: int, browser: bool
 ) -> Iterator[None]:
-    """Run the cockpit and print its link; `browser` opens it too.
-
-    Raises:
-        MissingLibraryError: If aiohttp is not installed.
-    """
-    optional("aiohttp", "The cockpit")
+    """Run the cockpit and print its link; `browser` opens it too."""
     config = CockpitConfig(
         name=plan.scenario.name,
         hand=plan.scenario.hand,

@@ -15,11 +15,11 @@ from typing import Any
 
 import numpy as np
 
+from tactile_hand_ros.cdr import is_reset
 from tactile_hand_ros.errors import TactileHandError
 from tactile_hand_ros.ros.node import TactileNode
 from tactile_hand_ros.ros.streams import Decode, Stream
 
-_SECOND = 1_000_000_000
 _MILLISECOND = 1_000_000
 _SHORTEST_LEAP = 100_000_000  # ns; consecutive ticks are closer
 _HIGHEST = 64  # rank of the first tick
@@ -68,8 +68,9 @@ class StampMatcher:
 
     def lateness(self, stamp_ns: int) -> int:
         """Return how long a tick [ns] is before the last one [ns]; 0 for a new one or a restart."""
-        late = 0 if self.last is None else self.last - stamp_ns
-        return late if stamp_ns > 0 and 0 < late <= _SECOND else 0
+        if self.last is None or stamp_ns > self.last or is_reset(self.last, stamp_ns):
+            return 0
+        return self.last - stamp_ns
 
     def rarest(self) -> list[str]:
         """Return the keys that fewest pending timestamps have, or one more than that.
